@@ -53,7 +53,7 @@ docs: $(VENV)/installed-docs
 
 # Images of all tasks and chart of success rates in docs/images.
 pictures: venv
-	$(BIN)/python tools/draw_gallery.py -o docs/images/tasks --heightmap --pixels 480
+	$(BIN)/python tools/draw_gallery.py -o docs/images/tasks --heightmap --pixels 560
 	$(BIN)/python tools/draw_success.py CloseLoop -o docs/images/success_closed_loop.png
 
 clean:

@@ -41,6 +41,8 @@ WIDE = [[0.25, 0.65], [-0.2, 0.2], [0.0, 0.3]]
 """Closed-loop workspace (m) of tasks that need the space of an open-loop workspace."""
 SEQUENCES = {CLOSE_LOOP: ("pxyz", "pxyzr"), OPEN_LOOP: ("xy", "xyr", "xyzrrr", "pxy", "pxyr", "pxyzrrr")}
 """Values of ``action_sequence``, their characters in any order (paper, Environment)."""
+PROGRESS = "progress"
+"""Value of ``reward`` for potential-based shaping."""
 PRESETS: dict[str, dict[str, tuple[str, ...]]] = {
     CLOSE_LOOP: {"image": ("heightmap", "holding"), "state": ("state", "holding")},
     OPEN_LOOP: {"image": ("heightmap", "in_hand", "holding")},
@@ -178,8 +180,8 @@ class EnvConfig:
     :param randomization: None, ``"light"``, ``"real"``, or a dict of ranges, see
         :class:`~bulletarm_gym.randomization.Randomization`; sampled at every reset
     :param physics_mode: ``"fast"`` (50 solver iterations) or ``"slow"`` (200, and slower motions)
-    :param reward: None for the task's reward, or ``"module:function"``, called as ``function(scene,
-        outcome)``
+    :param reward: None for the task's reward, ``"progress"`` for it with potential-based shaping (Ng et al.
+        1999), or ``"module:function"``, called as ``function(scene, outcome)``
     :param render_mode: None, ``"rgb_array"``, ``"depth_array"`` or ``"human"``
     :param render_size: [width, height] (pixels) of rendered images, or a number for both
     :param render_camera: None, or a dict with some of ``position`` and ``target`` (m) and ``fov`` (degrees)
@@ -237,7 +239,7 @@ class EnvConfig:
         Depends(lambda c: partial(json_ranges, is_open_loop=c.control == OPEN_LOOP)), None, "episode"
     )
     physics_mode: str = parameter(checks.choice("fast", "slow"), "fast", "motion")
-    reward: str | None = parameter(checks.optional(checks.function_path), None, "episode")
+    reward: str | None = parameter(checks.optional(checks.function_path(PROGRESS)), None, "episode")
     render_mode: str | None = parameter(
         checks.choice(None, "rgb_array", "depth_array", "human"), None, "rendering"
     )

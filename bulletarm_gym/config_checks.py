@@ -173,14 +173,17 @@ render_size = rule(
     lambda sides: len(sides) == 2,
     lambda value: [integer(16, 4096)(side) for side in _pair(value)],
 )
-function_path = rule(
-    'None or "module:function"',
-    lambda value: (
-        isinstance(value, str)
-        and value.count(":") == 1
-        and all(part.isidentifier() for part in value.replace(":", ".").split("."))
-    ),
-)
+
+
+def function_path(preset: str) -> Check:
+    """Accept one word and import paths of functions."""
+
+    def accepts(value: Any) -> bool:
+        if not isinstance(value, str) or value == preset:
+            return bool(value == preset)
+        return value.count(":") == 1 and all(map(str.isidentifier, value.replace(":", ".").split(".")))
+
+    return rule(f'None, "{preset}" or "module:function"', accepts)
 
 
 CAMERA: dict[str, Check] = {"position": point, "target": point, "fov": field_of_view}

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import gymnasium
@@ -12,7 +12,7 @@ from gymnasium.envs.registration import EnvSpec
 from numpy.typing import ArrayLike, NDArray
 
 from bulletarm_gym import config_checks
-from bulletarm_gym.config import CLOSE_LOOP, Context, EnvConfig, ParameterError
+from bulletarm_gym.config import CLOSE_LOOP, PROGRESS, Context, EnvConfig, ParameterError
 from bulletarm_gym.control import Control, RobotInterface
 from bulletarm_gym.episode import AFTER_ACTION, ARRANGEMENT, PLAN, Episode
 from bulletarm_gym.experts.approach import Tracker
@@ -26,6 +26,7 @@ from bulletarm_gym.scene import Scene
 from bulletarm_gym.scene.state import EnvState, check_fits, scene_facts
 from bulletarm_gym.simulation import has_display
 from bulletarm_gym.tasks import Task
+from bulletarm_gym.tasks.progress import DISCOUNT, Progress
 from bulletarm_gym.tasks.task import (
     arrange_scene,
     check_heights,
@@ -109,19 +110,20 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         """Make the task and load its bodies."""
         config = self.config
         self.task: Task = task_type(config)
-        self.task_description = self.task.description
-        """One sentence that describes the task, for policies with language inputs."""
         self.keeps_scene = self.task.keeps_scene
         """Whether an episode without a seed begins with the objects that the previous one left."""
         # Making a generator is as slow as an image, and most tasks need none after an action.
         self._acts_after = task_type.after_action is not Task.after_action
         check_heights(config, default, self.task)
-        path = config.reward
+        path = None if config.reward == PROGRESS else config.reward
         self._reward = self.objects.get("reward") or (REWARDS.find(path) if path else self.task.reward)
         kind = SURFACES.find("tray" if config.close_loop_tray else surface)
         slots = checked_slots(self.task.bodies(config), self.task)
         self.scene = Scene(config, model, kind(config.workspace, self.task.site), slots)
         check_scene(config, default, self.scene, self.task)
+        self.instructions = self.task.instruct(self.scene.surface.words)
+        """Sentences that describe the task in different words, for policies with language inputs."""
+        self.instruction = self.task_description = self.instructions[0]  # the latter for LeRobot
 
     def _make_control(self, control_type: Any) -> None:
         """Make the control, the expert's tracker and the sensors."""
@@ -129,6 +131,9 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         robot = RobotInterface(self.scene.robot, self.scene.settle)
         self.control: Control[Any] = control_type(self.config, robot, params)
         self.tracker = Tracker(self.control, self.scene, params.opening if self.task.plans_moves else None)
+        rng = partial(self._rng, PLAN, 0)
+        is_shaped = self.config.reward == PROGRESS
+        self._progress = Progress(self.task, self.scene, self.tracker, rng) if is_shaped else None
         self.action_space = self.control.action_space
         self.action_sequence = self.config.action_sequence
         """Meaning of each number of an action, one character each."""
@@ -200,6 +205,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         move = self.control.decode_action(episode.executed(action), view)
         if self._observer.follows or self.control.follows:
             _ = view.heights  # computed before the move changes the scene
+        before = self._progress.at(view) if self._progress else 0.0
         self.scene.begin()
         outcome = self.control.apply(move)
         self.scene.settle()
@@ -220,6 +226,8 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self._view = self.look()
         if not outcome.ignored:
             self.control.follow(view, self._view, outcome)
+        if self._progress:
+            reward += DISCOUNT * (0.0 if terminated else self._progress.at(self._view)) - before
         return self._observer.read(self._view), reward, terminated, truncated, info
 
     def render(self) -> Any:
@@ -333,6 +341,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self.scene.set_variants(state.cast)
         self._episode.set(state.narrowed, state.sampled, state.last_action)
         self._observer.set_memory(state.sensors)
+        self._view = None
         self.task.memory = state.memory
         self.control.memory = state.control
         episode, self._view = self._episode, None

@@ -115,6 +115,105 @@ def _scaled(value: NDArray[Any], box: spaces.Box) -> NDArray[np.float32]:
     return scaled
 
 
+class InstructionInfo(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
+    """Add ``info["instruction"]`` to the result of ``reset()``: one of the sentences that describe the task.
+
+    A sentence is sampled at every reset; the seed of a reset determines it and the later ones.
+
+    :param env: an environment of this package, perhaps wrapped
+    """
+
+    def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
+        RecordConstructorArgs.__init__(self)
+        super().__init__(env)
+        self._rng = np.random.default_rng()
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode, see :meth:`~bulletarm_gym.env.ManipulationEnv.reset`."""
+        if seed is not None:
+            self._rng = np.random.default_rng(seed)
+        observation, info = self.env.reset(seed=seed, options=options)
+        sentences = self.get_wrapper_attr("instructions")
+        return observation, {**info, "instruction": sentences[int(self._rng.integers(len(sentences)))]}
+
+
+class GoalObservation(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
+    """Goal-conditioned environment with the interface of Gymnasium-Robotics' ``GoalEnv``.
+
+    Observations are a ``Dict`` of ``observation``, ``achieved_goal`` and ``desired_goal``, one vector each.
+    The reward is 1 in every step after which the goal is reached, else 0. As in Gymnasium-Robotics, an
+    episode continues after success, so that relabelled transitions have correct rewards and ends. It
+    terminates if the scene is invalid, and is truncated after ``max_steps``.
+
+    :param env: environment that observes vectors, such as ``joint_state``, and whose task defines
+        :meth:`~bulletarm_gym.tasks.Task.goals`: Block Reaching, Block Pushing, Block Pulling, Block Stacking
+    :raises ValueError: ``env`` observes images, or the task has no goals
+    """
+
+    def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
+        RecordConstructorArgs.__init__(self)
+        super().__init__(env)
+        core: Any = env.unwrapped
+        self._core = core
+        self._inner = env.observation_space
+        parts = self._inner.values() if isinstance(self._inner, spaces.Dict) else [self._inner]
+        if not all(isinstance(space, spaces.Box) and len(space.shape) == 1 for space in parts):
+            raise ValueError(f"env must observe vectors, got {self._inner}. Use 'joint_state'.")
+        achieved, _ = core.task.goals(core.scene)
+        goal = spaces.Box(-np.inf, np.inf, achieved.shape, np.float64)
+        observation = spaces.flatten_space(self._inner)
+        self.observation_space = spaces.Dict(observation=observation, achieved_goal=goal, desired_goal=goal)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        """Begin an episode, see :meth:`~bulletarm_gym.env.ManipulationEnv.reset`."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        return self._observed(observation), info
+
+    def step(self, action: Any) -> tuple[dict[str, NDArray[Any]], float, bool, bool, dict[str, Any]]:
+        """Carry out an action; the reward is that of :meth:`compute_reward`."""
+        observation, _, terminated, truncated, info = self.env.step(action)
+        if terminated and info["is_success"]:
+            terminated, truncated = False, not self._continue()
+        found = self._observed(observation)
+        reward = self.compute_reward(found["achieved_goal"], found["desired_goal"], info)
+        return found, float(reward), terminated, truncated, info
+
+    def compute_reward(self, achieved_goal: NDArray[Any], desired_goal: NDArray[Any], info: Any) -> Any:
+        """Return 1.0 where the goal is reached, else 0.0.
+
+        :param achieved_goal: (..., n)
+        :param desired_goal: (..., n)
+        :param info: not used
+        :return: (...,) float64
+        """
+        return (self._core.task.goal_error(achieved_goal, desired_goal) < 1.0).astype(np.float64)[()]
+
+    def compute_terminated(self, achieved_goal: Any, desired_goal: Any, info: dict[str, Any]) -> bool:
+        """Return True if the scene is invalid, whatever the goals."""
+        return not info["is_valid"]
+
+    def compute_truncated(self, achieved_goal: Any, desired_goal: Any, info: dict[str, Any]) -> bool:
+        """Return False: goals do not truncate an episode, only its number of steps does."""
+        return False
+
+    def _observed(self, observation: Any) -> dict[str, NDArray[Any]]:
+        achieved, desired = self._core.task.goals(self._core.scene)
+        flat = spaces.flatten(self._inner, observation)
+        return {"observation": flat, "achieved_goal": achieved, "desired_goal": desired}
+
+    def _continue(self) -> bool:
+        """Continue the episode after its end; return False at the limit of steps."""
+        state = self._core.get_state()
+        if state.steps >= self._core.config.max_steps:
+            return False
+        self._core.set_state(replace(state, ended=False))
+        return True
+
+
 def own_time_limit(env: gymnasium.Env[Any, Any], known: int | None) -> gymnasium.Env[Any, Any]:
     """Replace Gymnasium's ``TimeLimit`` by the environment's own limit, and return the environment.
 

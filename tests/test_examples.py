@@ -19,6 +19,8 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
         "train_ppo.py --steps 64 --rollout 16 --equivariant",
         "train_crossq.py --steps 104",  # after 100 random steps
         "train_curriculum.py --steps 110",
+        "her_reaching.py --steps 304",  # after 300 random steps
+        "progress_reward.py --steps 104",  # after 100 random steps
     ],
 )
 def test_training_examples(

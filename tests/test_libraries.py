@@ -60,7 +60,8 @@ LIBRARIES = {
     ),
     "minari_dataset": Library(
         "minari",
-        r"3 episodes, \(\d+, 1, 64, 64\) \(\d+, 5\)\nseeds \[\d+, \d+, \d+\]\n(.*\n)*\d+ steps recorded",
+        r"Move the gripper to a cube\.\n3 episodes, \(\d+, 1, 64, 64\) \(\d+, 5\)\n"
+        r"seeds \[\d+, \d+, \d+\]\n(.*\n)*\d+ steps recorded",
         ("minari[hdf5,create]",),
     ),
     "torchrl_minari": Library(

@@ -30,7 +30,7 @@ ANGLES = ("theta", "phi", "psi")
 
 
 def export_minari(demonstrations: Demonstrations, dataset_id: str, **metadata: Any) -> "MinariDataset":
-    """Store demonstrations as a dataset of Minari.
+    """Store demonstrations as a dataset of Minari; its metadata has the instruction as ``task``.
 
     :param dataset_id: id such as ``"bulletarm/block-picking/expert-v0"``
     :param metadata: arguments of ``minari.create_dataset_from_buffers()``, such as ``author``
@@ -47,9 +47,11 @@ def export_minari(demonstrations: Demonstrations, dataset_id: str, **metadata: A
         for number, episode in enumerate(demonstrations)
     ]
     with closing(demonstrations.make_env()) as env:
-        return minari.create_dataset_from_buffers(
+        dataset = minari.create_dataset_from_buffers(
             dataset_id, buffers, env=env, **{"algorithm_name": demonstrations.about["planner"], **metadata}
         )
+        dataset.storage.update_metadata({"task": env.get_wrapper_attr("instruction")})
+        return dataset
 
 
 def export_lerobot(
@@ -82,7 +84,7 @@ def export_lerobot(
     :param root: folder, by default that of LeRobot's datasets; written atomically
     :param cameras: parameters of the sensor ``rgb``, by the names of cameras
     :param object_poses: export the poses of the objects, which LeRobot's policies use as an observation
-    :param task: description of the task, by default ``task_description``
+    :param task: description of the task, by default the environment's ``instruction``
     :param fps: frames per second, by default ``render_fps``
     :return: the dataset
     :raises FileExistsError: ``root`` exists
@@ -109,7 +111,7 @@ def export_lerobot(
             robot_type=core.config.robot,
             use_videos=False,
         )
-        words = core.task_description if task is None else task
+        words = core.instruction if task is None else task
         try:
             for number in tqdm(range(len(demonstrations)), "lerobot", unit="episode", disable=None):
                 for frame in frames(number, *arguments):

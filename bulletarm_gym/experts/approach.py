@@ -274,10 +274,19 @@ class Tracker:
         """
         if isinstance(self._control, OpenLoop):
             return self.towards(_first(waypoint for waypoint in plan if waypoint.finish is not None))
+        return self.towards(next(self.path(plan)))
+
+    def path(self, plan: Iterator[Waypoint]) -> Iterator[Waypoint]:
+        """Yield the waypoints of a closed-loop plan, or those of the path to its first pick or place.
+
+        :raises ValueError: the plan has none
+        """
         first = _first(plan)
         if self._opening is not None and first.finish is not None and not first.clear:
-            first = next(route(self._scene, first, self._opening))
-        return self.towards(first)
+            yield from route(self._scene, first, self._opening)
+        else:
+            yield first
+            yield from plan
 
     def towards(self, waypoint: Waypoint) -> Any:
         """Return the move that brings the gripper closest to a waypoint."""

@@ -41,6 +41,7 @@ class BumpSurface(Surface):
 
     keeps_poses = False
     sloping = True
+    words = "on the bumpy ground"
     slide = 0.01
 
     def __init__(self, workspace: list[list[float]], site: Point = SITE) -> None:

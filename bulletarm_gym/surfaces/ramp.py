@@ -85,6 +85,7 @@ class RampSurface(Surface):
     of its edge. The strip is at least as wide as the task's structure.
     """
 
+    words = "on the ground with ramps"
     sloping = True
 
     def load(self, world: World) -> None:

@@ -43,6 +43,8 @@ class Surface(ABC):
     sloping: ClassVar[bool] = False
     """Whether objects may lie at an angle. Open-loop actions then tilt the gripper by default, and tasks that
     need level ground reject the surface."""
+    words: ClassVar[str] = ""
+    """Words for the surface in instructions, such as "in the tray"."""
     slide: ClassVar[float] = 0.005
     """Distance (m) that a body may move while it comes to rest; it is laid that far from the border."""
 
@@ -174,6 +176,8 @@ class FlatSurface(Surface):
 
 class TraySurface(FlatSurface):
     """Floor of a tray at the centre of the workspace, whose height is returned for all points."""
+
+    words = "in the tray"
 
     def __init__(self, workspace: list[list[float]], site: Point = SITE) -> None:
         super().__init__(workspace, site)

@@ -88,6 +88,7 @@ class ObjectGrasping(Lift):
     possible grasp, push the highest object.
     """
 
+    instructions = ("Grasp any object{surface} and lift it.", "Pick up an object{surface}.")
     defaults = DEFAULTS
     grasps = False
 

@@ -68,6 +68,10 @@ class CovidTest(Task):
     Expert: repeat until solved: move a swab, then a tube to the test area, then the used tube to its box.
     """
 
+    instructions = (
+        "Move a swab and a tube to the test area three times, and collect the used tubes.",
+        "Present three pairs of a swab and a tube, and put each used tube into the box for used tubes.",
+    )
     defaults = TaskDefaults(
         num_objects=2 * ROUNDS,
         max_steps=30,
@@ -136,6 +140,12 @@ class CovidTest(Task):
         """Return whether all used tubes are collected, the gripper is empty and nothing moves."""
         collected = len(self._inside(scene, "used tube", "used box")) == ROUNDS
         return success_at_rest(scene, is_collected=collected)
+
+    def parts(self, scene: Scene, rng: np.random.Generator) -> tuple[int, int]:
+        """Return the number of finished moves, and of all moves: three a test."""
+        tested = len(self._of_kind(scene, "used tube"))  # by two moves each
+        placed = sum(len(self._inside(scene, kind, name)) for kind, (name, _, _) in TARGETS.items())
+        return 2 * tested + placed, len(TARGETS) * ROUNDS
 
     def is_valid(self, scene: Scene) -> bool:
         """Return True if all objects are inside the workspace, and at most one pair is in the test area."""

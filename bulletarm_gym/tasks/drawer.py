@@ -46,6 +46,7 @@ class DrawerOpening(Task):
     Expert: move the closed gripper above the gap behind the bar, lower, pull.
     """
 
+    instructions = ("Pull a drawer open by its handle.", "Open the drawer.", "Pull the handle of the drawer.")
     defaults = TaskDefaults(
         num_objects=1,
         no_tray="the cabinet does not fit into the tray",

@@ -73,6 +73,7 @@ class BinPacking(Task):
     close to a corner.
     """
 
+    instructions = ("Put all blocks into a bin{surface}.", "Pack the blocks into the bin{surface}.")
     defaults = TaskDefaults(
         num_objects=8,
         max_steps=20,
@@ -112,6 +113,11 @@ class BinPacking(Task):
         """Return whether all blocks are in the bin, the gripper is empty and nothing moves."""
         packed = all(self._is_in_bin(scene, block) for block in loose_objects(scene))
         return success_at_rest(scene, is_packed=packed)
+
+    def parts(self, scene: Scene, rng: np.random.Generator) -> tuple[int, int]:
+        """Return the number of blocks in the bin, and of all blocks."""
+        blocks = loose_objects(scene)
+        return sum(self._is_in_bin(scene, block) for block in blocks), len(blocks)
 
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
         """Grasp the largest block outside the bin, or release the grasped block in it."""
@@ -240,6 +246,7 @@ class BottleArrangement(Task):
     positions.
     """
 
+    instructions = ("Put all bottles into a tray.", "Arrange the bottles upright in the tray.")
     defaults = TaskDefaults(
         num_objects=6,
         max_steps=20,
@@ -278,6 +285,11 @@ class BottleArrangement(Task):
         """Return whether all bottles are in the tray, the gripper is empty and nothing moves."""
         arranged = all(self._is_in_tray(scene, obj) for obj in loose_objects(scene))
         return success_at_rest(scene, is_arranged=arranged)
+
+    def parts(self, scene: Scene, rng: np.random.Generator) -> tuple[int, int]:
+        """Return the number of bottles in the tray, and of all bottles."""
+        bottles = loose_objects(scene)
+        return sum(self._is_in_tray(scene, obj) for obj in bottles), len(bottles)
 
     def is_valid(self, scene: Scene) -> bool:
         """Return True if all objects are inside the workspace and every bottle is upright."""

@@ -54,6 +54,10 @@ class BoxPalletizing(Task):
     not full.
     """
 
+    instructions = (
+        "Stack {num_objects} boxes on a pallet{surface}, six a layer.",
+        "Load the pallet{surface} with {num_objects} boxes in layers of six.",
+    )
     defaults = TaskDefaults(
         num_objects=3 * LAYER,
         max_steps=40,
@@ -128,6 +132,10 @@ class BoxPalletizing(Task):
     def evaluate(self, scene: Scene) -> dict[str, bool]:
         """Return whether all boxes are placed correctly, the gripper is empty and nothing moves."""
         return success_at_rest(scene, is_stacked=len(self._correct(scene)) == self.config.num_objects)
+
+    def parts(self, scene: Scene, rng: np.random.Generator) -> tuple[int, int]:
+        """Return the number of correctly placed boxes, and of all boxes, future ones included."""
+        return len(self._correct(scene)), self.config.num_objects
 
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
         """Grasp a misplaced box, or release the grasped box at its place."""

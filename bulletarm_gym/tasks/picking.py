@@ -10,7 +10,7 @@ import numpy as np
 from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults
 from bulletarm_gym.experts import CLOSED, OPEN, Waypoint, approach
 from bulletarm_gym.experts.approach import grasp, grasp_object, pass_above, place_object, side_yaw
-from bulletarm_gym.geometry import Pose, planar_distance, wrap_angle
+from bulletarm_gym.geometry import FloatArray, Pose, planar_distance, wrap_angle
 from bulletarm_gym.objects import bowl, corner, cube
 from bulletarm_gym.objects.blocks import CUBE_SIZE
 from bulletarm_gym.objects.containers import BOWL_HEIGHT, CORNER_INSIDE, CORNER_PLATE, CORNER_SIDE
@@ -58,6 +58,11 @@ class BlockReaching(Task):
     Expert: move straight to the cube's centre.
     """
 
+    instructions = (
+        "Move the gripper to a cube{surface}.",
+        "Reach for the cube{surface}.",
+        "Touch the cube{surface}.",
+    )
     defaults = TaskDefaults(num_objects=1)
     controls = (CLOSE_LOOP,)
 
@@ -79,6 +84,14 @@ class BlockReaching(Task):
         distance = math.dist(scene.robot.pose.position, scene["cube"].pose.position)
         return {"success": distance < REACHED}
 
+    def goals(self, scene: Scene) -> tuple[FloatArray, FloatArray]:
+        """Return the positions (m) of the fingertips and of the cube's centre, (3,) each."""
+        return np.array(scene.robot.pose.position), np.array(scene["cube"].pose.position)
+
+    def goal_error(self, achieved: FloatArray, desired: FloatArray) -> FloatArray:
+        """Return the distances between goals, relative to :data:`REACHED`."""
+        return np.asarray(np.linalg.norm(achieved - desired, axis=-1) / REACHED)
+
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
         """Move to the cube."""
         target, tool = scene["cube"].pose, scene.robot.pose
@@ -90,6 +103,7 @@ class Lift(Task):
     """Base class of tasks in which the gripper lifts an object higher than ``lift_height``."""
 
     controls = (CLOSE_LOOP,)
+    goals, goal_error = Task.goals, Task.goal_error  # subclasses also extend a task with goals
 
     @property
     def height(self) -> float:
@@ -123,6 +137,11 @@ class BlockPicking(Lift, BlockReaching):
     Expert: descend to the cube's centre with the fingers along its sides, close, lift.
     """
 
+    instructions = (
+        "Grasp a cube{surface} and lift it.",
+        "Pick up the cube{surface}.",
+        "Lift the cube{surface}.",
+    )
     defaults = TaskDefaults(num_objects=1, lifts=True)
     spread = math.pi / 4.0
 
@@ -145,6 +164,7 @@ class BlockInBowl(Task):
     Expert: grasp the cube, lift, move above the bowl, lower, open.
     """
 
+    instructions = ("Put a cube into a bowl{surface}.", "Place the cube in the bowl{surface}.")
     defaults = TaskDefaults(num_objects=2, allowed_objects=(2,))
     controls = (CLOSE_LOOP,)
 
@@ -194,6 +214,7 @@ class CornerPicking(Lift):
     Expert: press the closed gripper on the cube and draw it out of the corner, then as in Block Picking.
     """
 
+    instructions = ("Get a cube out of a corner and lift it.", "Pick up the cube in the corner.")
     defaults = TaskDefaults(
         num_objects=1,
         lifts=True,

@@ -9,11 +9,11 @@ import numpy as np
 from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults
 from bulletarm_gym.experts import Waypoint
 from bulletarm_gym.experts.pushing import Drag
-from bulletarm_gym.geometry import Rectangle, planar_distance
+from bulletarm_gym.geometry import FloatArray, Rectangle, planar_distance
 from bulletarm_gym.objects import cube, flat_block, goal_area
 from bulletarm_gym.observations.view import Overlay
 from bulletarm_gym.scene import ObjectSlot, Scene, scaled
-from bulletarm_gym.scene.predicates import touching
+from bulletarm_gym.scene.predicates import TOUCHING, touching
 from bulletarm_gym.scene.sampling import scatter, stand
 from bulletarm_gym.tasks.picking import BORDER_MARGIN
 from bulletarm_gym.tasks.task import Task
@@ -34,6 +34,8 @@ PULL_BORDER_MARGIN = 0.85
 """Distance of a block's centre to the border, relative to the block's side."""
 PULL_SPACING = 1.7
 """Smallest distance between the blocks' centres, relative to the block's side."""
+FAR = 10.0
+"""Largest gap (m) between blocks that is measured, more than the reach of any arm."""
 PULL_HEIGHT = 0.03
 """Height (m) of the fingertips while they pull."""
 
@@ -49,6 +51,7 @@ class BlockPushing(Task):
     Expert: lower the gripper behind the cube, push it to the goal.
     """
 
+    instructions = ("Push a cube onto a goal area{surface}.", "Push the cube to the goal{surface}.")
     defaults = TaskDefaults(num_objects=1)
     controls = (CLOSE_LOOP,)
     grasps = False
@@ -82,6 +85,14 @@ class BlockPushing(Task):
         distance = planar_distance(scene["cube"].pose.position, scene["goal"].pose.position)
         return {"success": distance < self._scale * GOAL_REACHED}
 
+    def goals(self, scene: Scene) -> tuple[FloatArray, FloatArray]:
+        """Return the positions (m) of the cube's centre and of the goal's in x and y, (2,) each."""
+        return np.array(scene["cube"].pose.position[:2]), np.array(scene["goal"].pose.position[:2])
+
+    def goal_error(self, achieved: FloatArray, desired: FloatArray) -> FloatArray:
+        """Return the distances between goals, relative to :data:`GOAL_REACHED`, less for smaller cubes."""
+        return np.asarray(np.linalg.norm(achieved - desired, axis=-1) / (self._scale * GOAL_REACHED))
+
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
         """Move behind the cube, and push."""
         yield from Drag(scene, scene["cube"], scene["goal"].pose.position, self._scale * PUSH_HEIGHT).plan()
@@ -97,6 +108,10 @@ class BlockPulling(Task):
     Expert: move above the far side of a block, lower behind it, pull it to the other.
     """
 
+    instructions = (
+        "Pull one of two blocks{surface} until it touches the other.",
+        "Pull the blocks{surface} together.",
+    )
     defaults = TaskDefaults(num_objects=2, object_scale=0.8, allowed_objects=(2,))
     controls = (CLOSE_LOOP,)
     grasps = False
@@ -116,6 +131,15 @@ class BlockPulling(Task):
     def evaluate(self, scene: Scene) -> dict[str, bool]:
         """Return whether the blocks touch."""
         return {"success": touching(scene, *scene.objects)}
+
+    def goals(self, scene: Scene) -> tuple[FloatArray, FloatArray]:
+        """Return the gap (m) between the blocks, at least 0, and 0, (1,) each."""
+        first, second = (block.body for block in scene.objects)
+        return np.array([max(scene.world.distance(first, second, FAR), 0.0)]), np.zeros(1)
+
+    def goal_error(self, achieved: FloatArray, desired: FloatArray) -> FloatArray:
+        """Return the differences of gaps, relative to :data:`~bulletarm_gym.scene.predicates.TOUCHING`."""
+        return np.asarray(np.abs(achieved - desired)[..., 0] / TOUCHING)
 
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
         """Pull the block with the shorter path to the other block."""

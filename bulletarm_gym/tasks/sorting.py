@@ -50,6 +50,11 @@ class BlockSorting(Task):
     Heights do not show the colours, so that ``color`` is observed by default, too.
     """
 
+    instructions = (
+        "Put each cube into the bowl of its color.",
+        "Sort the cubes by color into the bowls.",
+        "Put the red cubes into the red bowl and the blue cubes into the blue bowl.",
+    )
     defaults = TaskDefaults(
         num_objects=6,
         max_steps=20,
@@ -88,6 +93,12 @@ class BlockSorting(Task):
         """Return whether the cubes are in their bowls, the gripper is empty and nothing moves."""
         placed = all(_is_in(_bowl_of(scene, block), block) for block in _cubes(scene))
         return success_at_rest(scene, is_sorted=placed)
+
+    def parts(self, scene: Scene, rng: np.random.Generator) -> tuple[int, int]:
+        """Return the number of cubes in their bowls, and of all cubes."""
+        cubes = _cubes(scene)
+        released = (block for block in cubes if block is not scene.held)
+        return sum(_is_in(_bowl_of(scene, block), block) for block in released), len(cubes)
 
     def is_valid(self, scene: Scene) -> bool:
         """Return True if all objects are inside the workspace and the bowls are upright."""

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
+from itertools import pairwise
 from typing import ClassVar
 
 import numpy as np
@@ -13,6 +14,7 @@ from bulletarm_gym.experts import Waypoint
 from bulletarm_gym.experts.approach import PASSING
 from bulletarm_gym.experts.blueprint import BUILD_TOLERANCE, Blocks, Blueprint
 from bulletarm_gym.experts.builder import Builder, TowerBuilder
+from bulletarm_gym.geometry import FloatArray
 from bulletarm_gym.objects.blocks import (
     CELL,
     CUBE_SIZE,
@@ -25,7 +27,7 @@ from bulletarm_gym.objects.blocks import (
     triangle,
 )
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, scaled
-from bulletarm_gym.scene.predicates import UPRIGHT, is_top, stacked, success_at_rest, upright
+from bulletarm_gym.scene.predicates import UPRIGHT, is_empty, is_top, stacked, success_at_rest, upright
 from bulletarm_gym.scene.sampling import place_apart, sample_until, scatter, stand
 from bulletarm_gym.simulation import BodySpec
 from bulletarm_gym.tasks.picking import BORDER_MARGIN
@@ -136,6 +138,10 @@ class Structure(Task):
         """Add the next block."""
         yield from self.builder(scene, rng).plan()
 
+    def parts(self, scene: Scene, rng: np.random.Generator) -> tuple[int, int]:
+        """Return the number of blocks built on the first one, and of all blocks but one."""
+        return max(len(self.builder(scene, rng).placed) - 1, 0), max(len(scene.objects) - 1, 1)
+
     def builder(self, scene: Scene, rng: np.random.Generator) -> Builder:
         """Return the planner of the structure."""
         return Builder(scene, self.blueprint, self.blocks(scene), rng)
@@ -228,8 +234,28 @@ class BlockStacking(Stack):
     Everything else is as in :class:`Stack`.
     """
 
+    instructions = ("Stack {num_objects} cubes{surface}.", "Build a tower of {num_objects} cubes{surface}.")
     kinds = {"cube": cube}  # noqa: RUF012
     spread = math.pi / 4.0
+
+    def goals(self, scene: Scene) -> tuple[FloatArray, FloatArray]:
+        """Return the offsets between cubes, and those of a finished stack, (3 n - 2,) m each for n cubes.
+
+        For each cube but the lowest: its position minus that of the cube before it in the order of heights.
+        Cubes at the same level are in the order of their numbers. At the end: a cube's side while the gripper
+        holds a cube, else 0.
+        """
+        side = CUBE_SIZE * max(self.config.scales)
+        cubes = sorted(scene.objects, key=lambda block: math.floor(block.pose.z / side))
+        offsets = np.diff([block.pose.position for block in cubes], axis=0)
+        rises = [(a.spec.extents[2] + b.spec.extents[2]) / 2.0 for a, b in pairwise(cubes)]
+        desired = [value for rise in rises for value in (0.0, 0.0, rise)]
+        return np.append(offsets, 0.0 if is_empty(scene) else side), np.array([*desired, 0.0])
+
+    def goal_error(self, achieved: FloatArray, desired: FloatArray) -> FloatArray:
+        """Return the largest differences of an offset, relative to half a cube's side."""
+        half = CUBE_SIZE * max(self.config.scales) / 2.0
+        return np.asarray(np.abs(achieved - desired).max(axis=-1) / half)
 
 
 class HouseBuilding1(Stack):
@@ -245,6 +271,10 @@ class HouseBuilding1(Stack):
     Everything else is as in :class:`Stack`.
     """
 
+    instructions = (
+        "Stack {num_objects} blocks{surface}, with the triangle on top.",
+        "Build a tower of {num_objects} blocks{surface}, with the triangle at its top.",
+    )
     kinds = {"cube": cube, "triangle": triangle}  # noqa: RUF012
     upright = ("triangle",)
     top = "triangle"
@@ -258,6 +288,10 @@ class HouseBuilding2(Structure):
     Everything else is as in :class:`~bulletarm_gym.tasks.stacking.Structure`.
     """
 
+    instructions = (
+        "Put two cubes side by side{surface}, and the roof on both.",
+        "Put the roof on two cubes{surface}.",
+    )
     defaults = structure_defaults(3)
     kinds = {"cube": cube, "roof": roof}  # noqa: RUF012
     layers: Sequence[Sequence[str]] = (("cube", "cube"), ("roof",))
@@ -271,6 +305,10 @@ class HouseBuilding3(HouseBuilding2):
     Everything else is as in :class:`~bulletarm_gym.tasks.stacking.Structure`.
     """
 
+    instructions = (
+        "Put two cubes side by side{surface}, the brick on both, and the roof on the brick.",
+        "Build a house of two cubes, a brick and a roof{surface}.",
+    )
     defaults = structure_defaults(4)
     kinds = {**HouseBuilding2.kinds, "brick": brick}  # noqa: RUF012
     layers: Sequence[Sequence[str]] = (("cube", "cube"), ("brick",), ("roof",))
@@ -283,6 +321,10 @@ class HouseBuilding4(HouseBuilding3):
     Everything else is as in :class:`~bulletarm_gym.tasks.stacking.Structure`.
     """
 
+    instructions = (
+        "Put two cubes side by side{surface}, the brick on both, two cubes on it, and the roof on those.",
+        "Build a house of two floors of cubes, with a brick between them and a roof{surface}.",
+    )
     defaults = structure_defaults(6, max_steps=20)
     layers = (("cube", "cube"), ("brick",), ("cube", "cube"), ("roof",))
 
@@ -296,6 +338,10 @@ class ImproviseHouseBuilding2(Structure):
     Everything else is as in :class:`~bulletarm_gym.tasks.stacking.Structure`.
     """
 
+    instructions = (
+        "Put two blocks of different shapes side by side{surface}, and the roof on both.",
+        "Put the roof on the other two blocks{surface}.",
+    )
     defaults = structure_defaults(3)
     kinds = {"roof": roof}  # noqa: RUF012
     layers: Sequence[Sequence[str]] = (("block", "block"), ("roof",))
@@ -325,5 +371,9 @@ class ImproviseHouseBuilding3(ImproviseHouseBuilding2):
     Everything else is as in :class:`ImproviseHouseBuilding2`.
     """
 
+    instructions = (
+        "Put two blocks of different shapes side by side{surface}, the brick on both, and the roof on it.",
+        "Build a house of two blocks, a brick and a roof{surface}.",
+    )
     defaults = structure_defaults(4)
     layers = (("block", "block"), ("brick",), ("roof",))

@@ -18,7 +18,7 @@ from bulletarm_gym.config import (
 )
 from bulletarm_gym.control import Control, GraspParams
 from bulletarm_gym.experts import Waypoint
-from bulletarm_gym.geometry import Footprint, PlacementError, Pose
+from bulletarm_gym.geometry import FloatArray, Footprint, PlacementError, Pose
 from bulletarm_gym.objects.blocks import CUBE_SIZE
 from bulletarm_gym.observations import Overlay
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject
@@ -48,6 +48,10 @@ class Task(ABC):
     """Dataclasses and named tuples in :attr:`memory`, for files of states; plain values need none."""
     grasps: ClassVar[bool] = True
     """Whether the loose objects must fit between the open fingers."""
+    instructions: ClassVar[tuple[str, ...]] = ()
+    """Sentences that describe the goal, for policies with language inputs; by default :attr:`description`.
+
+    ``{num_objects}`` stands for the number of objects, and ``{surface}`` for words such as " in the tray"."""
     site: Point = SITE
     """Width and length (m) of the base of a structure, for which ramps and bumps have level ground."""
 
@@ -70,6 +74,23 @@ class Task(ABC):
         paragraph = (type(self).__doc__ or "").strip().split("\n\n")[0]
         words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", type(self).__name__).capitalize()
         return " ".join(paragraph.split()) or f"{words}."
+
+    def instruct(self, surface: str) -> tuple[str, ...]:
+        """Return :attr:`instructions` with the number of objects and words for the surface.
+
+        :param surface: such as "in the tray"; empty for the plane
+        :raises ValueError: the instructions are not a tuple of sentences, or have an unknown field
+        """
+        fields = {"num_objects": self.config.num_objects, "surface": surface and f" {surface}"}
+        try:
+            if not isinstance(self.instructions, tuple):
+                raise TypeError
+            sentences = tuple(str.format(sentence, **fields) for sentence in self.instructions)
+        except (LookupError, TypeError, ValueError) as error:
+            must = "a tuple of sentences with no fields except {num_objects} and {surface}"
+            name = f"instructions of {type(self).__name__}"
+            raise ValueError(f"{name} must be {must}, got {self.instructions!r}") from error
+        return sentences or (self.description,)
 
     @property
     def grasp_params(self) -> GraspParams:
@@ -152,6 +173,29 @@ class Task(ABC):
         :param outcome: the step's ``info``
         """
         return float(outcome["is_success"])
+
+    def goals(self, scene: Scene) -> tuple[FloatArray, FloatArray]:
+        """Return the achieved and the desired goal, (n,) each, for goal-conditioned learners.
+
+        :raises ValueError: the task has no goal of this form
+        """
+        raise ValueError(f"{type(self).__name__} is not goal-conditioned: it has no goals()")
+
+    def goal_error(self, achieved: FloatArray, desired: FloatArray) -> FloatArray:
+        """Return the distances between goals (..., n), relative to the distance at which a goal is reached.
+
+        :raises ValueError: the task has no :meth:`goals`
+        """
+        raise ValueError(f"{type(self).__name__} is not goal-conditioned: it has no goal_error()")
+
+    def parts(self, scene: Scene, rng: np.random.Generator) -> tuple[int, int]:
+        """Return the number of finished parts of the task and of all its parts; by default 0 of 1.
+
+        The reward ``"progress"`` depends on them.
+
+        :param rng: samples the choices of the plan
+        """
+        return 0, 1
 
     def _is_inside(self, obj: SceneObject) -> bool:
         """Return True if an object's centre or bounding box is in the workspace, not below the floor."""

@@ -11,6 +11,7 @@ expert = demonstrations.collect(ENV_ID, 3, seed=0, env_kwargs={"obs_size": 64})
 demonstrations.export_minari(expert, "bulletarm/block-reaching/expert-v0")
 dataset = minari.load_dataset("bulletarm/block-reaching/expert-v0")
 episode = dataset[0]
+print(dataset.storage.metadata["task"])
 print(dataset.total_episodes, "episodes,", episode.observations["heightmap"].shape, episode.actions.shape)
 metadata = dataset.storage.get_episode_metadata(dataset.episode_indices)
 print("seeds", [int(episode["seed"]) for episode in metadata])

@@ -252,6 +252,7 @@ def test_grasped_objects_fit_the_gripper(name: str, scale: float, refused: list[
         ("obs_size", np.int32(64), 64),
         ("fast_mode", np.bool_(False), False),
         ("reward", "package.module:function", "package.module:function"),
+        ("reward", "progress", "progress"),
         ("render_mode", None, None),
         ("render_size", 64, [64, 64]),
         ("render_size", np.array([64, 48]), [64, 48]),

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -15,9 +16,11 @@ from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.objects.containers import CORNER_INSIDE
+from bulletarm_gym.registry import ENTRIES, TASKS
 from bulletarm_gym.scene.predicates import loose_objects, touching
 from bulletarm_gym.scene.sampling import footprint
 from bulletarm_gym.tasks.picking import BlockPicking
+from bulletarm_gym.wrappers import InstructionInfo
 
 Make = Callable[..., ManipulationEnv]
 
@@ -230,6 +233,75 @@ def test_task_description_is_one_sentence(make: Make, typical_id: str) -> None:
         pass
 
     assert BlockShaking.description.fget(object.__new__(BlockShaking)) == "Block shaking."
+
+
+SENTENCE = re.compile(r"[A-Z][^{}.\n]+\.")
+
+
+def test_instructions_are_different_sentences(make: Make, typical_id: str) -> None:
+    env = make(typical_id)
+    sentences = env.get_wrapper_attr("instructions")
+    assert env.instruction == env.task_description == sentences[0]
+    assert all(SENTENCE.fullmatch(sentence) for sentence in sentences)
+    assert len(set(sentences)) == len(sentences) and not any("  " in sentence for sentence in sentences)
+
+
+def test_built_in_tasks_have_several_instructions_of_their_own() -> None:
+    tasks = {entry.task: TASKS.find(entry.task) for entry in ENTRIES}
+    own = {task.__name__: task.instructions for task in tasks.values()}
+    assert own.pop("OpenLoopObjectGrasping") == own["ObjectGrasping"]
+    assert all(len(sentences) > 1 for sentences in own.values())
+    assert len({sentence for sentences in own.values() for sentence in sentences}) == sum(
+        map(len, own.values())
+    )
+
+
+def test_instructions_name_the_surface_and_the_number_of_objects(make: Make) -> None:
+    tray = {"close_loop_tray": True, "observation": ["holding"]}
+    for env_id, parameters, instruction in (
+        (task_id("BlockPicking"), {}, "Grasp a cube and lift it."),
+        (task_id("BlockPicking"), tray, "Grasp a cube in the tray and lift it."),
+        (task_id("ObjectGrasping"), {}, "Grasp any object in the tray and lift it."),
+        (task_id("BlockStacking"), {}, "Stack 2 cubes."),
+        (
+            "BulletArm/OpenLoopRampBlockStacking-v0",
+            {"num_objects": 3},
+            "Stack 3 cubes on the ground with ramps.",
+        ),
+    ):
+        assert make(env_id, **parameters).instruction == instruction
+
+
+@pytest.mark.parametrize("sentences", ["Lift it.", ["Lift it."], ("Lift {what}.",), ("Lift {",), (3,)])
+def test_wrong_instructions_are_refused(sentences: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(BlockPicking, "instructions", sentences)
+    with pytest.raises(ValueError, match=r"^instructions of BlockPicking must be .*, got "):
+        make_env(task_id("BlockPicking"))
+
+
+def test_instruction_of_a_task_without_instructions_is_its_description(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(BlockPicking, "instructions", ())
+    env = make_env(task_id("BlockPicking"))
+    assert env.instructions == ("Grasp a cube and lift it.",)
+    env.close()
+
+
+def test_info_of_reset_has_a_sampled_instruction() -> None:
+    plain = make_env(task_id("BlockPicking"), observation=["holding"])
+    env = InstructionInfo(plain)
+    _, info = env.reset(seed=4)
+    found = [info.pop("instruction"), *(env.reset()[1]["instruction"] for _ in range(20))]
+    assert set(found) == set(plain.instructions) and len(set(found)) > 1
+    start = plain.get_state().episode_seed
+    assert info == plain.reset(seed=4)[1]
+    for _ in range(20):
+        plain.reset()
+    assert plain.get_state().episode_seed == start, "the wrapper does not change the episodes"
+    assert [env.reset(seed=4)[1]["instruction"], env.reset()[1]["instruction"]] == found[:2]
+    assert "instruction" not in env.step(np.zeros(5))[-1]
+    env.close()
 
 
 def test_vector_environments_have_the_attributes_of_lerobots_evaluation() -> None:

@@ -55,7 +55,7 @@ def test_tasks_are_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     run(monkeypatch, "draw_gallery.py", *words, "--env-kwargs", "obs_size:32")
     names = ["OpenLoopBlockStacking-v0-heightmap.webp", "OpenLoopBlockStacking-v0.webp"]
     assert sorted(path.name for path in tmp_path.iterdir()) == names
-    assert iio.imread(tmp_path / names[1]).shape == (32, 68, 3)
+    assert iio.imread(tmp_path / names[1]).shape == (30, 52, 3)
 
 
 def test_curves_are_kept_in_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
