@@ -101,7 +101,6 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             self.metadata = {**self.metadata, "render_modes": ["rgb_array", "depth_array"]}
         self._make_scene(task_type, model or ROBOTS.find(self.config.robot), surface, default)
         self._make_control(control_type)
-        self._episode = Episode(self.task, self.scene, self.control)
         if self.render_mode == "human":
             self.viewer.face_workspace()
         warm_up(ManipulationEnv)
@@ -130,8 +129,9 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         params = self.task.grasp_params
         robot = RobotInterface(self.scene.robot, self.scene.settle)
         self.control: Control[Any] = control_type(self.config, robot, params)
+        self._episode = Episode(self.task, self.scene, self.control)
         self.tracker = Tracker(self.control, self.scene, params.opening if self.task.plans_moves else None)
-        rng = partial(self._rng, PLAN, 0)
+        rng = partial(self._episode.rng, PLAN, 0)
         is_shaped = self.config.reward == PROGRESS
         self._progress = Progress(self.task, self.scene, self.tracker, rng) if is_shaped else None
         self.action_space = self.control.action_space
@@ -197,8 +197,8 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         :raises gymnasium.error.ResetNeeded: no episode has begun, or it has ended
         :raises gymnasium.error.ClosedEnvironmentError: the environment is closed
         """
-        self._check_running()
         episode = self._episode
+        episode.check_running()
         if episode.ended:
             raise gymnasium.error.ResetNeeded("the episode has ended. Call reset() before the next step().")
         view = self._view if self._view is not None and self._view.is_current else self.look()
@@ -278,7 +278,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         :raises gymnasium.error.ResetNeeded: no episode has begun
         :raises ValueError: the task's plan has no waypoint
         """
-        self._check_running()
+        self._episode.check_running()
         lasts = PLAN_STEPS if self.task.plans_moves and self.config.control == CLOSE_LOOP else 1
         rng = self._episode.rng(PLAN, self._episode.steps // lasts)
         plan = iter(self.task.plan(self.scene, rng) or ())
@@ -305,9 +305,8 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
 
         :raises gymnasium.error.ResetNeeded: no episode has begun
         """
-        self._check_running()
         episode = self._episode
-        assert episode.seed is not None
+        seed = episode.check_running()
         return EnvState(
             self.scene.world.get_state(),
             self.scene.robot.get_state(),
@@ -317,7 +316,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             self.control.memory,
             episode.steps,
             episode.ended,
-            episode.seed,
+            seed,
             dict(self.np_random.bit_generator.state),
             dict(self._made_of),
             episode.narrowed,
@@ -341,7 +340,6 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self.scene.set_variants(state.cast)
         self._episode.set(state.narrowed, state.sampled, state.last_action)
         self._observer.set_memory(state.sensors)
-        self._view = None
         self.task.memory = state.memory
         self.control.memory = state.control
         episode, self._view = self._episode, None
@@ -358,11 +356,6 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
 
     def _evaluate(self, ignored: bool) -> dict[str, Any]:
         return {**evaluated(self.task, self.scene, ignored), **self._episode.info}
-
-    def _check_running(self) -> None:
-        self.scene.world.check_open()
-        if self._episode.seed is None:
-            raise gymnasium.error.ResetNeeded("no episode has begun. Call reset() first.")
 
     @property
     def spec(self) -> EnvSpec | None:

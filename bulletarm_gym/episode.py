@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
+import gymnasium
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -47,6 +48,17 @@ class Episode:
         self._noise_of: tuple[int | None, int] = (None, 0)
         self.info: dict[str, float] = {}
         """Sampled values as entries of ``info``."""
+
+    def check_running(self) -> int:
+        """Return the seed of the episode.
+
+        :raises gymnasium.error.ResetNeeded: no episode has begun
+        :raises gymnasium.error.ClosedEnvironmentError: the environment is closed
+        """
+        self._scene.world.check_open()
+        if self.seed is None:
+            raise gymnasium.error.ResetNeeded("no episode has begun. Call reset() first.")
+        return self.seed
 
     def rng(self, stream: int, step: int | None = None) -> np.random.Generator:
         """Return the generator of a stream at a step, by default the current one."""

@@ -135,10 +135,11 @@ NAMES = tuple(entry.name for entry in fields(Randomization))
 
 def _preset(share: float) -> Randomization:
     """Return ranges between the defaults (0) and those of the preset ``"real"`` (1)."""
-    entries = {entry.name: (entry.default[0], entry.metadata["real"]) for entry in fields(Randomization)}
-    return Randomization(
-        **{name: [(1.0 - share) * n + share * end for end in ends] for name, (n, ends) in entries.items()}
-    )
+    ranges: dict[str, Any] = {}
+    for name, (neutral, _) in vars(Randomization()).items():
+        real = Randomization.__dataclass_fields__[name].metadata["real"]
+        ranges[name] = [(1.0 - share) * neutral + share * end for end in real]
+    return Randomization(**ranges)
 
 
 PRESETS = {"light": _preset(1.0 / 3.0), "real": _preset(1.0)}

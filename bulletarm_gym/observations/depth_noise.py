@@ -58,7 +58,7 @@ def _measure(depths: Depths, seed: int, camera: int, errors: Depths) -> Depths:
     for row in range(rows):
         for column in range(columns):
             bits = np.int64(_random_bits(key, row * columns + column) >> np.uint64(1))
-            above, left = row, column
+            above, left = np.int64(row), np.int64(column)
             if bits >> 47 < edges:  # the depth of the pixel above, below, left or right
                 change = bits & 2
                 above += (change - 1) * (bits & 1)
@@ -68,9 +68,9 @@ def _measure(depths: Depths, seed: int, camera: int, errors: Depths) -> Depths:
     if step > 0.0:  # cameras measure disparities, the inverse of distances, at even steps
         measured = one / (np.maximum(np.rint(one / (step * measured)), one) * step)
     for top in range(0, rows, HOLE):
-        for left in range(0, columns, HOLE):
-            bits = np.int64(_random_bits(~key, top * columns + left) >> np.uint64(1))
+        for first in range(0, columns, HOLE):
+            bits = np.int64(_random_bits(~key, top * columns + first) >> np.uint64(1))
             if bits >> 47 < missing:
                 for row in range(top, min(top + HOLE, rows)):
-                    measured[row, left : left + HOLE] = measured[row, max(left - 1, 0)]
+                    measured[row, first : first + HOLE] = measured[row, max(first - 1, 0)]
     return measured

@@ -313,8 +313,10 @@ class Scene:
         for body in self.world.bodies:
             set_resistance(self.world.client, body.id, body.spec, values.get("joint_resistance", 1.0))
         names = ("camera_position", "camera_rotation", "light_direction")
-        vectors = [tuple(values.get(f"{name}_{axis}", 0.0) for axis in "xyz") for name in names]
-        self.world.optics = Optics(*vectors, values.get("light_brightness", 1.0))
+        position, rotation, light = (
+            tuple(values.get(f"{name}_{axis}", 0.0) for axis in "xyz") for name in names
+        )
+        self.world.optics = Optics(position, rotation, light, values.get("light_brightness", 1.0))
 
     def randomize(self, rng: np.random.Generator) -> None:
         """Change the properties of all bodies by the sampled values; each body has a colour of its own."""

@@ -60,8 +60,7 @@ class Optics:
         error = np.eye(4)
         error[:3, :3] = matrix(Pose((0.0, 0.0, 0.0), from_rotvec(self.rotation)))
         error[:3, 3] = self.position
-        inverse: FloatArray = np.linalg.inv(error)
-        return inverse
+        return np.asarray(np.linalg.inv(error), np.float64)
 
     @cached_property
     def yaw_error(self) -> FloatArray:
