@@ -15,7 +15,7 @@ from bulletarm_gym.geometry import FloatArray, Pose, Vector, matrix
 from bulletarm_gym.robots import Robot, RobotModel
 from bulletarm_gym.scene.stability import CREEP_SPEED, is_stable, settle
 from bulletarm_gym.simulation import Body, BodySpec, World
-from bulletarm_gym.simulation.loading import set_resistance
+from bulletarm_gym.simulation.motion import set_resistance_factor
 from bulletarm_gym.simulation.state import PHYSICS_MODES, REST_SPEED, STILL, Optics, Properties, Twist
 from bulletarm_gym.surfaces import Surface
 
@@ -310,8 +310,7 @@ class Scene:
             return
         self.sampled = values
         self.robot.set_force_factor(values.get("gripper_force", 1.0))
-        for body in self.world.bodies:
-            set_resistance(self.world.client, body.id, body.spec, values.get("joint_resistance", 1.0))
+        set_resistance_factor(self.world, values.get("joint_resistance", 1.0))
         names = ("camera_position", "camera_rotation", "light_direction")
         position, rotation, light = (
             tuple(values.get(f"{name}_{axis}", 0.0) for axis in "xyz") for name in names

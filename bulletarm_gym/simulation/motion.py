@@ -11,6 +11,7 @@ import numpy as np
 
 from bulletarm_gym.geometry import FloatArray, Vector
 from bulletarm_gym.geometry.compilation import compiled
+from bulletarm_gym.simulation.loading import set_resistance
 from bulletarm_gym.simulation.state import Body
 from bulletarm_gym.simulation.world import World
 
@@ -221,6 +222,12 @@ def _measure(world: World, group: JointGroup) -> list[float]:
 def _stop(world: World, group: JointGroup) -> None:
     hold(world, group, _measure(world, group))
     world.step()
+
+
+def set_resistance_factor(world: World, factor: float) -> None:
+    """Multiply the resistance of the moving parts of all bodies by a factor, until the next call."""
+    for body in world.bodies:
+        set_resistance(world.client, body.id, body.spec, factor)
 
 
 def send_fingers(world: World, group: JointGroup, goal: float, speed: float) -> None:
