@@ -199,8 +199,11 @@ class Viewer:
 
             return step_and_render
 
-        with self._scene.world.wrapped_step(filmed):
+        restore = self._scene.world.wrap_step(filmed)
+        try:
             yield images
+        finally:
+            restore()
 
     def face_workspace(self) -> None:
         """Show the workspace in the window, from the configured camera or from that of close-ups."""

@@ -6,8 +6,7 @@ restores the snapshot and sets poses and velocities, which alone determine the l
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from bulletarm_gym.geometry import Pose, Vector
@@ -320,19 +319,11 @@ class World:
         for _ in range(count):
             self.client.stepSimulation()
 
-    def wrap_step(self, wrap: Callable[[Callable[..., Any]], Callable[..., Any]]) -> None:
-        """Replace the function that computes a simulation step, to measure its time for example."""
-        vars(self.client)["stepSimulation"] = wrap(self.client.stepSimulation)
-
-    @contextmanager
-    def wrapped_step(self, wrap: Callable[[Callable[..., Any]], Callable[..., Any]]) -> Iterator[None]:
-        """Replace this function inside the context."""
+    def wrap_step(self, wrap: Callable[[Callable[..., Any]], Callable[..., Any]]) -> Callable[[], None]:
+        """Replace the function that computes a simulation step, and return a function that undoes this."""
         before = self.client.stepSimulation
-        self.wrap_step(wrap)
-        try:
-            yield
-        finally:
-            vars(self.client)["stepSimulation"] = before
+        vars(self.client)["stepSimulation"] = wrap(before)
+        return lambda: vars(self.client).update(stepSimulation=before)
 
     # Queries
 
