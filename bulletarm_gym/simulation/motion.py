@@ -177,7 +177,7 @@ def follow(
         world.step()
         before, (force, depth) = depth, contact_load(world, group.body, held)
         if depth > before and (force > MAX_FORCE or depth > MAX_DEPTH):
-            normal = min(world.contacts(group.body), key=lambda contact: contact.distance).normal
+            normal = deepest_normal(world, group.body, held)
             _retreat(world, group, path[:number], held)
             return normal
         if number % LAG_CHECK == 0:
@@ -200,6 +200,13 @@ def contact_load(world: World, body: Body, held: Body | None) -> tuple[float, fl
     if not points:
         return 0.0, 0.0
     return sum([point[FORCE] for point in points]), -min([point[DISTANCE] for point in points])
+
+
+def deepest_normal(world: World, body: Body, held: Body | None) -> Vector:
+    """Return the normal of the deepest of the contacts that :func:`contact_load` counts."""
+    contacts = world.contacts(body)
+    counted = (one for one in contacts if one.other is not held or -one.distance > MAX_SQUEEZE)
+    return min(counted, key=lambda contact: contact.distance).normal
 
 
 def _retreat(world: World, group: JointGroup, path: Sequence[Sequence[float]], held: Body | None) -> None:

@@ -2,6 +2,8 @@
 
 import math
 from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,12 +13,15 @@ from bulletarm_gym.control import PickPlace
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.robots import ROBOTS
+from bulletarm_gym.simulation import Body, BodySpec, Contact
+from bulletarm_gym.simulation.motion import deepest_normal
 
 Make = Callable[..., ManipulationEnv]
 
 PICKING = "BulletArm/CloseLoopBlockPicking-v0"
 DEEPEST = 3e-3
 """Maximum overlap (m) of the gripper and of the grasped object with a body."""
+PART = BodySpec("part", (), 0.0)
 NEAR = 0.03
 """Maximum distance (m) along each axis between an object and a target of the gripper."""
 
@@ -148,3 +153,17 @@ def test_pressing_arm_slides_in_closed_loop(make: Make) -> None:
     env.step([-1.0, 0.6, 0.0, -0.2, 0.0])
     assert arm.pose.x - before.x > 0.02 and abs(arm.pose.y - before.y) < 2e-3
     assert penetration(env) <= DEEPEST
+
+
+@pytest.mark.parametrize("depth, normal", [(0.005, (0.0, 0.0, 1.0)), (0.011, (1.0, 0.0, 0.0))])
+def test_the_grasped_object_blocks_only_where_it_is_squeezed(
+    depth: float, normal: tuple[float, float, float]
+) -> None:
+    """Fingers always overlap it, and its contact must not be the direction in which the arm slides."""
+    arm, held, wall = Body(0, 0, PART), Body(1, 1, PART), Body(2, 2, PART)
+    contacts = [
+        Contact(0, held, (1.0, 0.0, 0.0), -depth, 50.0),
+        Contact(0, wall, (0.0, 0.0, 1.0), -0.003, 120.0),
+    ]
+    world: Any = SimpleNamespace(contacts=lambda _: contacts)
+    assert deepest_normal(world, arm, held) == normal
