@@ -39,8 +39,8 @@ def export_robomimic(
       ``observation.state`` and so on of
       :func:`~bulletarm_gym.demonstrations.exports.export_lerobot`
 
-    The attribute ``ep_meta`` of a demonstration has ``task_description`` as ``lang``. The filter keys
-    ``train`` and ``valid`` divide the demonstrations.
+    The attribute ``ep_meta`` of a demonstration has the environment's ``instruction`` as ``lang``. The filter
+    keys ``train`` and ``valid`` divide the demonstrations.
 
     :param path: file, written atomically
     :param cameras: parameters of the sensor ``rgb``, by the names of cameras
@@ -63,7 +63,7 @@ def export_robomimic(
             for index, name in enumerate(tqdm(names, "robomimic", unit="episode", disable=None)):
                 found = observations(index, demonstrations, core, cameras, object_poses)
                 group = _write(data.create_group(name), demonstrations[index], list(found))
-                group.attrs["ep_meta"] = json.dumps({"lang": core.task_description})
+                group.attrs["ep_meta"] = json.dumps({"lang": core.instruction})
             kwargs = demonstrations.about["configuration"]
             env_args = {"env_name": demonstrations.env_id, "type": GYM_TYPE, "env_kwargs": kwargs}
             data.attrs["env_args"] = json.dumps(env_args)
