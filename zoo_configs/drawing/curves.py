@@ -13,10 +13,10 @@ from zoo_configs.errors import refused
 from zoo_configs.files import whole_file
 from zoo_configs.training.runs import CURVE_FILE, Run
 
-PANEL_SIZE = (6.4, 4.0)  # inches
-CURVES_WITH_LEGEND_INSIDE = 1  # a legend of more curves would cover them
+PANEL_SIZE = (4.2, 3.2)  # inches, with text of 12 points: readable where two panels share 400 pixels
+FONT_SIZE = 12
 PANELS_A_ROW = 2
-DOTS_PER_INCH = 150
+DOTS_PER_INCH = 200
 COLORS, STYLES = 10, ("-", "--", ":", "-.")  # the number of matplotlib's colours, then the next line style
 SUCCESS, RETURN = "evaluation success rate", "evaluation return"
 TIMESTEPS = "timesteps"
@@ -100,10 +100,12 @@ def draw_curves(panels: Mapping[str, Mapping[str, LearningCurve]], path: Path) -
     for axes in grid.flat[len(panels) :]:
         axes.set_axis_off()
     names = list(dict.fromkeys(name for curves in panels.values() for name in curves))
+    lines: dict[str, Any] = {}
     for axes, (title, curves) in zip(grid.flat, panels.items(), strict=False):
-        _draw_panel(axes, title, curves, names)
-    with whole_file(path) as partial:
-        figure.savefig(partial, dpi=DOTS_PER_INCH)
+        for name, curve in curves.items():
+            lines[name] = _draw(axes, curve, names.index(name))  # the same colour in all panels
+        _label(axes, title, curves)
+    _save(figure, lines, path)
 
 
 def draw_training(panels: Mapping[str, Mapping[str, Sequence[Path]]], path: Path) -> None:
@@ -113,6 +115,7 @@ def draw_training(panels: Mapping[str, Mapping[str, Sequence[Path]]], path: Path
     :param panels: Training logs (CSV) by environment and label
     """
     figure, grid = _subplots(len(panels), len(QUANTITIES))
+    lines: dict[str, Any] = {}
     for row, (env_id, logs) in zip(grid, panels.items(), strict=True):
         for axes, (quantity, label) in zip(row, QUANTITIES.items(), strict=True):
             axes.set(title=env_id, xlabel="time steps", ylabel=label)
@@ -122,38 +125,47 @@ def draw_training(panels: Mapping[str, Mapping[str, Sequence[Path]]], path: Path
                 for side, style in SIDES.items():
                     if (column := f"{quantity}_{side}") in means:
                         values = means[column].dropna()
-                        text = f"{name}, {side} transitions"
-                        axes.plot(values.index, values, style, color=f"C{number % COLORS}", label=text)
-            axes.legend()
+                        (line,) = axes.plot(values.index, values, style, color=f"C{number % COLORS}")
+                        lines[f"{name}, {side} transitions"] = line
+    _save(figure, lines, path)
+
+
+def _subplots(rows: int, columns: int) -> tuple[Any, Any]:
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure  # unlike pyplot, it needs no display and keeps no state
+    from matplotlib.ticker import EngFormatter, MaxNLocator
+
+    size = (columns * PANEL_SIZE[0], rows * PANEL_SIZE[1])
+    with rc_context({"font.size": FONT_SIZE, "axes.titlesize": FONT_SIZE}):
+        figure = Figure(figsize=size, layout="constrained")
+        grid = figure.subplots(rows, columns, squeeze=False)
+    for axes in grid.flat:
+        axes.xaxis.set_major_locator(MaxNLocator(6))
+        axes.xaxis.set_major_formatter(EngFormatter(sep=""))  # 5k
+    return figure, grid
+
+
+def _save(figure: Any, lines: Mapping[str, Any], path: Path) -> None:
+    """Write a figure with one legend below its panels."""
+    figure.legend(lines.values(), lines, loc="outside lower center", ncols=PANELS_A_ROW)
     with whole_file(path) as partial:
         figure.savefig(partial, dpi=DOTS_PER_INCH)
 
 
-def _subplots(rows: int, columns: int) -> tuple[Any, Any]:
-    from matplotlib.figure import Figure  # unlike pyplot, it needs no display and keeps no state
-
-    size = (columns * PANEL_SIZE[0], rows * PANEL_SIZE[1])
-    figure = Figure(figsize=size, layout="constrained")
-    return figure, figure.subplots(rows, columns, squeeze=False)
-
-
-def _draw_panel(axes: Any, title: str, curves: Mapping[str, LearningCurve], names: Sequence[str]) -> None:
-    for name, curve in curves.items():
-        _draw(axes, name, curve, names.index(name))  # the same colour in all panels
-    axes.set(title=title, xlabel="time steps", ylabel=next(iter(curves.values())).measure)
+def _label(axes: Any, title: str, curves: Mapping[str, LearningCurve]) -> None:
+    axes.set(
+        title=title,
+        xlabel="time steps",
+        ylabel=next(iter(curves.values())).measure.removeprefix("evaluation "),
+    )
     if all(curve.measure == SUCCESS for curve in curves.values()):
         axes.set_ylim(-0.02, 1.02)
     axes.grid(alpha=0.3)
-    if len(curves) > CURVES_WITH_LEGEND_INSIDE:
-        axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    else:
-        # matplotlib's "best" can cover the curve
-        low = all(curve.measure == SUCCESS and curve.success[-1] < 0.5 for curve in curves.values())
-        axes.legend(loc="upper right" if low else "lower right")
 
 
-def _draw(axes: Any, name: str, curve: LearningCurve, number: int) -> None:
+def _draw(axes: Any, curve: LearningCurve, number: int) -> Any:
     color, style = f"C{number % COLORS}", STYLES[number // COLORS % len(STYLES)]
-    axes.plot(curve.timesteps, curve.success, style, marker="o", markersize=3, label=name, color=color)
+    (line,) = axes.plot(curve.timesteps, curve.success, style, marker="o", markersize=3, color=color)
     low, high = curve.success - curve.error, curve.success + curve.error
     axes.fill_between(curve.timesteps, low, high, color=color, alpha=0.2, linewidth=0)
+    return line
