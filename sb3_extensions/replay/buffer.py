@@ -20,8 +20,6 @@ from sb3_extensions.replay.step_table import MIN_RING, Layout, Observations, Row
 GIGABYTE = 1e9
 EXPERT_ACTION = "sb3_extensions.expert_action"
 """Key in the info of a step: the expert's action in the state before the step, in the policy's units."""
-EXPLORED = "sb3_extensions.explored"
-"""Key in the info of a step: True for an exploratory action."""
 SUCCESS = "is_success"
 
 AnyObservations = npt.NDArray[Any] | Observations
@@ -42,8 +40,7 @@ class ExpertReplayBuffer(ReplayBuffer):
     :param observation_space: Box space, or Dict space of Box spaces
     :param optimize_memory_usage: must be False, observations are always stored once
     :param handle_timeout_termination: bootstrap from the last observation of a truncated episode
-    :param n_steps: maximum number of rewards in a return before the bootstrap. A return also ends before an
-        exploratory action (traces of Watkins's Q(lambda), https://arxiv.org/abs/1606.02647)
+    :param n_steps: maximum number of rewards in a return before the bootstrap
     :param gamma: discount factor per step, required if ``n_steps > 1``
     :param image_dtype: ``"uint8"`` or ``"uint16"``, type of the stored images
     :param sampler: sampler of the steps: ``"uniform"``, ``"shares"``, ``"prioritized"``, one of them with its
@@ -79,7 +76,6 @@ class ExpertReplayBuffer(ReplayBuffer):
         columns: Layout = {
             "action": ((self.action_dim,), np.dtype(self._maybe_cast_dtype(action_space.dtype))),
             "expert_action": ((self.action_dim,), np.float32),  # NaN if unknown
-            "explored": ((), np.bool_),
             "succeeded": ((), np.bool_),
             "reward": ((), np.float32),
             "done": ((), np.float32),
@@ -116,7 +112,7 @@ class ExpertReplayBuffer(ReplayBuffer):
         self.sampler.setup(self.table)
         self._next_obs: Observations | None = None  # observations after the last step of each environment
         self._is_open = np.zeros(self.n_envs, dtype=bool)  # whether an episode has not ended
-        self._creditable: list[list[int]] = [[] for _ in range(self.n_envs)]
+        self._episode_rows: list[list[int]] = [[] for _ in range(self.n_envs)]  # of the present episodes
 
     def size(self) -> int:
         """:return: number of steps that can be sampled"""
@@ -156,7 +152,6 @@ class ExpertReplayBuffer(ReplayBuffer):
             rows[:-1],
             action=np.reshape(actions, (-1, self.action_dim)),
             expert_action=np.reshape(intended, (-1, self.action_dim)),
-            explored=False,
             succeeded=True,
             reward=rewards,
             done=terminations,
@@ -179,8 +174,7 @@ class ExpertReplayBuffer(ReplayBuffer):
         See Stable-Baselines3's ``ReplayBuffer`` for the other parameters.
 
         :param infos: ``"TimeLimit.truncated"`` is True if the episode was truncated, ``"is_success"`` if it
-            succeeded. :data:`EXPERT_ACTION` is the expert's action, :data:`EXPLORED` marks an exploratory
-            action
+            succeeded. :data:`EXPERT_ACTION` is the expert's action
         """
         obs, next_obs = as_parts(obs), as_parts(next_obs)
         done, table = np.asarray(done, dtype=bool), self.table
@@ -192,21 +186,17 @@ class ExpertReplayBuffer(ReplayBuffer):
         removed = written[table.columns["valid"][written]]
         table.write_observations(rows[starts], {key: values[starts] for key, values in obs.items()})
         table.write_observations(next_rows, next_obs)
-        timeout, explored = (
-            np.array([info.get(key, False) for info in infos], dtype=bool)
-            for key in ("TimeLimit.truncated", EXPLORED)
-        )
+        timeout = np.array([info.get("TimeLimit.truncated", False) for info in infos], dtype=bool)
         unknown = np.full(self.action_dim, np.nan)
         table.write_steps(
             rows,
             action=np.asarray(action).reshape(self.n_envs, self.action_dim),
             expert_action=np.stack([np.ravel(info.get(EXPERT_ACTION, unknown)) for info in infos]),
-            explored=explored,
             succeeded=False,
             reward=reward,
             done=done & ~(timeout & self.handle_timeout_termination),
         )
-        self._credit(rows, starts | explored, done, infos)
+        self._mark_successes(rows, starts, done, infos)
         table.heads = np.where(done, table.next(next_rows), next_rows)
         self._next_obs = {key: np.array(values) for key, values in next_obs.items()}
         self._is_open = ~done
@@ -220,16 +210,16 @@ class ExpertReplayBuffer(ReplayBuffer):
             continues &= (obs[key] == latest).reshape(self.n_envs, -1).all(axis=1)
         return continues
 
-    def _credit(
+    def _mark_successes(
         self,
         rows: Rows,
-        restarts: npt.NDArray[np.bool_],
+        starts: npt.NDArray[np.bool_],
         done: npt.NDArray[np.bool_],
         infos: list[dict[str, Any]],
     ) -> None:
-        """Mark the steps of a successful episode, from its last exploratory action to its end."""
+        """Mark the steps of a successful episode."""
         for env, row in enumerate(rows.tolist()):
-            steps = self._creditable[env] = [row] if restarts[env] else [*self._creditable[env], row]
+            steps = self._episode_rows[env] = [row] if starts[env] else [*self._episode_rows[env], row]
             if done[env]:
                 self.table.columns["succeeded"][steps] = bool(infos[env].get(SUCCESS, False))
 
@@ -294,7 +284,7 @@ class ExpertReplayBuffer(ReplayBuffer):
         discounts = np.full(len(rows), self.gamma, dtype=np.float32)
         for _ in range(self.n_steps - 1):
             next_rows = self.table.next(rows)
-            continues = columns["valid"][next_rows] & ~columns["explored"][next_rows]
+            continues = columns["valid"][next_rows]
             rows = np.where(continues, next_rows, rows)
             reward = self._normalize_reward(columns["reward"][rows], env)
             rewards = rewards + np.where(continues, discounts * reward, np.float32(0))

@@ -22,7 +22,7 @@ class ExpertReplayBufferSamples(NamedTuple):
     - ``weights``: importance weights
     - ``indices``: rows of the table, NumPy array of shape (batch,)
     - ``expert_actions``: actions of the expert, NaN if unknown
-    - ``succeeded``: whether the episode succeeded without an exploratory action after this step
+    - ``succeeded``: whether the episode succeeded
     """
 
     observations: TensorDict | th.Tensor

@@ -58,8 +58,8 @@ class ShareSampler(UniformSampler):
 
     :param expert_fraction: share of expert steps in a batch (BulletArm, appendix "Benchmark Details": 0.5 in
         open loop)
-    :param success_fraction: maximum share of online steps that led to a success without a later exploratory
-        action. A successful step is sampled at most as often as an expert step
+    :param success_fraction: maximum share of online steps of successful episodes. Such a step is sampled at
+        most as often as an expert step
     :param balanced_from: minimum number of expert steps and of online steps for these shares. With fewer
         steps, all steps are sampled with equal probability
     :raises ValueError: if an argument is out of its range

@@ -37,7 +37,7 @@ def self_imitation_weights(
     https://arxiv.org/abs/2006.15134
 
     :param advantages: values of the actions minus values of the actor's actions, (batch, 1)
-    :param succeeded: whether the episode succeeded without a later exploratory action, (batch, 1)
+    :param succeeded: whether the episode succeeded, (batch, 1)
     :param temperature: of the exponential, None for weights 0
     :return: (batch, 1)
     """

@@ -7,14 +7,13 @@ import torch as th
 from stable_baselines3.common.type_aliases import PyTorchObs
 from stable_baselines3.sac.policies import LOG_STD_MAX, LOG_STD_MIN, Actor
 
-from sb3_extensions.demonstrations.off_policy import Logs
+from sb3_extensions.demonstrations.off_policy import Logs, OffPolicyFromDemonstrations
 from sb3_extensions.replay.samples import ExpertReplayBufferSamples
-from sb3_extensions.sacfd.exploration import Exploration
 from sb3_extensions.sacfd.losses import imitation_loss
 from sb3_extensions.sacfd.policies import SACfDPolicy
 
 
-class ActorPretraining(Exploration):
+class ActorPretraining(OffPolicyFromDemonstrations):
     """Pretraining that updates the actor alone by the imitation term, then everything."""
 
     actor: Actor

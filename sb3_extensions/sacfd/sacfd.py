@@ -73,10 +73,6 @@ class SACfD(ActorPretraining, SAC):
         False: https://arxiv.org/abs/2302.02948
     :param value_range: minimum and maximum possible return; values in targets are clipped to it. Source:
         https://arxiv.org/abs/1707.01495, appendix A
-    :param exploration: probability that one number of an action is replaced by a uniform sample (own
-        addition)
-    :param deterministic_fraction: fraction of episodes with deterministic actions, because deterministic
-        policies get stuck in states that sampled actions leave (own addition)
     :raises ValueError: if an argument is out of its range, there is pretraining without demonstrations or
         without ``bc_weight``, or replay buffer and policy round images differently
     """
@@ -119,8 +115,6 @@ class SACfD(ActorPretraining, SAC):
         self_imitation_temperature: float | None = None,
         backup_entropy: bool = True,
         value_range: tuple[float, float] | None = None,
-        exploration: float = 0.0,
-        deterministic_fraction: float = 0.0,
         stats_window_size: int = 100,
         tensorboard_log: str | None = None,
         policy_kwargs: dict[str, Any] | None = None,
@@ -167,8 +161,6 @@ class SACfD(ActorPretraining, SAC):
         self.self_imitation_temperature = self_imitation_temperature
         self.backup_entropy = backup_entropy
         self.value_range = value_range
-        self.exploration = exploration
-        self.deterministic_fraction = deterministic_fraction
         self._check_arguments()
 
         if _init_setup_model:
@@ -186,11 +178,7 @@ class SACfD(ActorPretraining, SAC):
                 "critic_warmup_steps must be None or at least pretrain_steps with bc_weight=0, got "
                 f"{self.critic_warmup_steps}"
             )
-        check_fraction(
-            bc_limit=self.bc_limit,
-            exploration=self.exploration,
-            deterministic_fraction=self.deterministic_fraction,
-        )
+        check_fraction(bc_limit=self.bc_limit)
         temperature = self.self_imitation_temperature
         if temperature is not None and temperature <= 0:
             raise ValueError(f"self_imitation_temperature must be None or greater than 0, got {temperature}")

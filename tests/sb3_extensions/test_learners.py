@@ -110,8 +110,8 @@ def test_learns_to_reach(learner, policy, kwargs, make_toy, make_learner):
 @pytest.mark.parametrize("learner", [FERM, TQCfD])
 def test_learners_accept_the_arguments_of_sacfd_only(learner, make_learner):
     assert constructor_keys(learner) >= PARAMETERS.keys()
-    model = make_learner(None, learner, gamma=0.5, exploration=0.25, augmentation={"rad": {"size": 12}})
-    assert (model.gamma, model.exploration) == (0.5, 0.25)
+    model = make_learner(None, learner, gamma=0.5, bc_limit=0.5, augmentation={"rad": {"size": 12}})
+    assert (model.gamma, model.bc_limit) == (0.5, 0.5)
     with pytest.raises(TypeError, match="gama"):
         make_learner(None, learner, gama=0.9)
 

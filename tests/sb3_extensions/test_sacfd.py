@@ -1,4 +1,4 @@
-"""SACfD: losses, imitation, exploration and pretraining, compared with slow references."""
+"""SACfD: losses, imitation and pretraining, compared with slow references."""
 
 from typing import Any
 
@@ -11,7 +11,6 @@ from stable_baselines3 import SAC
 from sb3_extensions.demonstrations.dagger import DaggerCallback
 from sb3_extensions.replay.buffer import ExpertReplayBuffer
 from sb3_extensions.sacfd import SACfD
-from sb3_extensions.sacfd.exploration import replace_one_number
 from sb3_extensions.sacfd.losses import imitation_loss, self_imitation_weights
 from sb3_extensions.tqcfd import TQCfD
 
@@ -225,28 +224,3 @@ def test_dagger_imitates_in_online_steps(make_toy, make_learner):
     env.has_attr = lambda name: name != "expert_action"
     with pytest.raises(ValueError, match=r"env must have expert_action\(\)"):
         model.learn(5, callback=DaggerCallback())
-
-
-def test_exploration_draws_one_number_of_an_action():
-    actions = np.full((4000, 5), 0.25, np.float32)
-    disturbed = replace_one_number(actions, 0.3, th.Generator().manual_seed(0))
-    changed = disturbed != actions
-    assert disturbed.dtype == np.float32 and changed.sum(axis=1).max() == 1
-    np.testing.assert_allclose(changed.mean(axis=0), 0.3 / 5, atol=0.02)
-    drawn = disturbed[changed]
-    assert -1 <= drawn.min() < -0.95 and 0.95 < drawn.max() <= 1 and abs(drawn.mean()) < 0.1
-
-
-def test_some_episodes_have_deterministic_actions_and_explored_actions_are_stored(make_toy, make_learner):
-    model = make_learner(make_toy(3), exploration=1.0, deterministic_fraction=0.5, gradient_steps=0)
-    model.learn(300)
-    table = model.replay_buffer.table
-    rows = np.flatnonzero(table.columns["valid"])[model.replay_buffer.expert_size :]
-    observations = model.replay_buffer._get_samples(rows).observations
-    with th.no_grad():
-        actions = model.actor(observations, deterministic=True).numpy()
-    is_deterministic = np.isclose(table.columns["action"][rows], actions, atol=0.02).all(axis=1)
-    assert 0.2 < is_deterministic.mean() < 0.8
-    np.testing.assert_array_equal(table.columns["explored"][rows], ~is_deterministic)
-    within = table.columns["valid"][table.next(rows)]  # equal until the end of an episode
-    np.testing.assert_array_equal(is_deterministic[:-1][within[:-1]], is_deterministic[1:][within[:-1]])

@@ -11,7 +11,7 @@ from bulletarm_gym.benchmarks import BENCHMARKS
 from zoo_configs.arguments import MAX_SEED
 from zoo_configs.environments import known_env_id, our_env_ids, register_environments
 from zoo_configs.errors import CommandError, check_names, unknown_name
-from zoo_configs.experiments.config import ExperimentConfig, resolve
+from zoo_configs.experiments.config import ExperimentConfig, merge, resolve
 from zoo_configs.experiments.families import family_of, task_name
 from zoo_configs.experiments.flags import default_preset
 from zoo_configs.files import read_yaml
@@ -38,6 +38,7 @@ class Plan:
     :param benchmark: Benchmark whose parameters the tasks have; None selects the first that has the task
     :param options: Fields of ``TrainingOptions``
     :param hyperparams: Hyperparameters that replace the values of the baselines
+    :param variants: Further hyperparameters by the names of variants; each baseline has one run a variant
     """
 
     tasks: Sequence[str] = ()
@@ -47,6 +48,7 @@ class Plan:
     benchmark: str | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
     hyperparams: Mapping[str, Any] = field(default_factory=dict)
+    variants: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: {"": {}})
 
 
 @dataclass(frozen=True)
@@ -59,6 +61,7 @@ class Job:
     :param options: Options of the training
     :param gym_packages: Packages that register the environment, in addition to ours
     :param device: PyTorch device
+    :param variant: Name of the variant, empty without variants
     """
 
     experiment: ExperimentConfig
@@ -66,11 +69,13 @@ class Job:
     options: TrainingOptions
     gym_packages: tuple[str, ...] = ()
     device: str = "auto"
+    variant: str = ""
 
     @property
     def experiment_name(self) -> str:
-        """Task and baseline."""
-        return f"{task_name(self.experiment.env_id)}/{self.experiment.label}"
+        """Task, baseline and variant."""
+        variant = f"-{self.variant}" if self.variant else ""
+        return f"{task_name(self.experiment.env_id)}/{self.experiment.label}{variant}"
 
     @property
     def name(self) -> str:
@@ -106,9 +111,13 @@ def parse_plan(where: str, content: Any) -> Plan:
         names = content.get(key)
         if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
             raise CommandError(f"{key} of {where} must be a list of names, got {names!r}")
-    for key in ("options", "hyperparams"):
+    variants = content.get("variants", {"": {}})
+    for key in ("options", "hyperparams", "variants"):
         if not isinstance(content.get(key, {}), dict):
             raise CommandError(f"{key} of {where} must be a mapping, got {content[key]!r}")
+    for name, values in variants.items():
+        if not isinstance(values, dict) or "/" in str(name):
+            raise CommandError(f"variants of {where} must be mappings by name, got {name!r}: {values!r}")
     return Plan(**content)
 
 
@@ -128,18 +137,20 @@ def build_jobs(
     """
     register_environments(gym_packages)
     tasks = dict.fromkeys(env_id for wanted in plan.tasks for env_id in _tasks(wanted, plan.benchmark))
+    preset = plan.preset or default_preset(device)
     experiments = [
-        resolve(label, plan.preset or default_preset(device), task, plan.hyperparams, plan.benchmark)
+        (variant, resolve(label, preset, task, merge(plan.hyperparams, values), plan.benchmark))
         for task in tasks
         for label in _baselines(plan, task)
+        for variant, values in plan.variants.items()
     ]
     options = {"num_threads": num_threads, **plan.options}
     return [
-        Job(experiment, seed, TrainingOptions.of(experiment, options), tuple(gym_packages), device)
-        for label in dict.fromkeys(experiment.label for experiment in experiments)
+        Job(experiment, seed, TrainingOptions.of(experiment, options), tuple(gym_packages), device, variant)
+        for label in dict.fromkeys((variant, experiment.label) for variant, experiment in experiments)
         for seed in _seeds(plan.seeds)
-        for experiment in experiments
-        if experiment.label == label
+        for variant, experiment in experiments
+        if (variant, experiment.label) == label
     ]
 
 

@@ -69,8 +69,6 @@ def assert_equal_trees(first, second):
             {
                 "replay_buffer_kwargs": {"sampler": {"shares": {"success_fraction": 0.2}}},
                 "self_imitation_temperature": 0.1,
-                "exploration": 0.2,
-                "deterministic_fraction": 0.3,
             },
         ),
     ],

@@ -10,7 +10,7 @@ from gymnasium import spaces
 from stable_baselines3 import SAC
 from stable_baselines3.common.vec_env import VecNormalize
 
-from sb3_extensions.replay.buffer import EXPLORED, ExpertReplayBuffer
+from sb3_extensions.replay.buffer import ExpertReplayBuffer
 from sb3_extensions.replay.quantisation import Quantiser
 
 HEIGHT = 0.4
@@ -49,7 +49,7 @@ class Player:
         self.transitions = []
         self.latest = [None] * self.n_envs
 
-    def step(self, p_terminate: float = 0.1, p_truncate: float = 0.1, p_explore: float = 0.0):
+    def step(self, p_terminate: float = 0.1, p_truncate: float = 0.1):
         terminated = self.rng.random(self.n_envs) < p_terminate
         truncated = (self.rng.random(self.n_envs) < p_truncate) & ~terminated
         done = terminated | truncated
@@ -57,10 +57,9 @@ class Player:
         next_obs = self.next_id.copy()
         action = self.rng.uniform(-1, 1, (self.n_envs, 3)).astype(np.float32)
         reward = self.rng.random(self.n_envs).astype(np.float32)
-        explored = self.rng.random(self.n_envs) < p_explore
         infos = [
-            {"TimeLimit.truncated": bool(t), "is_success": bool(r > 0.5), EXPLORED: bool(e)}
-            for t, r, e in zip(truncated, reward, explored, strict=True)
+            {"TimeLimit.truncated": bool(t), "is_success": bool(r > 0.5)}
+            for t, r in zip(truncated, reward, strict=True)
         ]
         self.buffer.add(observe(self.obs), observe(next_obs), action, reward, done, infos)
         for i in range(self.n_envs):
@@ -71,7 +70,6 @@ class Player:
                 "action": action[i],
                 "terminated": terminated[i],
                 "done": done[i],
-                "explored": explored[i],
                 "successor": None,
                 "success": bool(done[i] and reward[i] > 0.5),
             }
@@ -111,12 +109,11 @@ def find_kept(player: Player, size: int) -> dict[int, dict[str, Any]]:
 @both_samplers
 @pytest.mark.parametrize("n_envs", [1, 3])
 @pytest.mark.parametrize("n_steps", [1, 3])
-@pytest.mark.parametrize("p_explore", [0.0, 0.3])
-def test_samples_equal_a_slow_reference(sampler, n_envs, n_steps, p_explore):
+def test_samples_equal_a_slow_reference(sampler, n_envs, n_steps):
     buffer = make_buffer(40 * n_envs + 1, n_envs, n_steps=n_steps, gamma=GAMMA, sampler=sampler)
     player = Player(buffer)
     for _ in range(200):  # several times around
-        player.step(p_explore=p_explore)
+        player.step()
     reference = find_kept(player, buffer.table.ring_length)
     assert buffer.size() == len(reference) > 20 * n_envs
     samples = buffer.sample(2000)
@@ -126,8 +123,6 @@ def test_samples_equal_a_slow_reference(sampler, n_envs, n_steps, p_explore):
         first = last = reference[obs]
         reward, discount = first["reward"], GAMMA
         while last["successor"] is not None and discount > GAMMA**n_steps * 1.001:
-            if last["successor"]["explored"]:
-                break
             last = last["successor"]
             reward, discount = reward + discount * last["reward"], discount * GAMMA
         assert sampled_ids(samples.next_observations)[k] == last["next"]
@@ -139,11 +134,9 @@ def test_samples_equal_a_slow_reference(sampler, n_envs, n_steps, p_explore):
 
 
 def leads_to_success(step: dict[str, Any]) -> bool:
-    """Whether the episode succeeded without an exploratory action after a step."""
-    while (after := step["successor"]) is not None:
-        if after["explored"]:
-            return False
-        step = after
+    """Whether the episode of a step succeeded."""
+    while step["successor"] is not None:
+        step = step["successor"]
     return bool(step["success"])
 
 

@@ -7,7 +7,7 @@ import pytest
 import torch as th
 from gymnasium import spaces
 
-from sb3_extensions.replay.buffer import EXPLORED, ExpertReplayBuffer
+from sb3_extensions.replay.buffer import ExpertReplayBuffer
 from sb3_extensions.replay.sampling import MIN_PRIORITY, PrioritizedSampler, ShareSampler
 
 BATCH = 16
@@ -24,11 +24,11 @@ def make_buffer(n_expert: int, size: int = 400, **kwargs) -> ExpertReplayBuffer:
     return buffer
 
 
-def play(buffer: ExpertReplayBuffer, n_steps: int = 1, success: bool = False, explored: bool = False):
+def play(buffer: ExpertReplayBuffer, n_steps: int = 1, success: bool = False):
     """Add online episodes of one step."""
     for _ in range(n_steps):
         obs = np.full((1, 1), 1000 + buffer.size(), np.float32)
-        info = {"is_success": success, EXPLORED: explored}
+        info = {"is_success": success}
         buffer.add(obs, obs, np.zeros((1, 1)), np.full(1, float(success)), np.ones(1, bool), [info])
 
 
