@@ -71,8 +71,6 @@ class SACfD(ActorPretraining, SAC):
         see :func:`~sb3_extensions.sacfd.losses.self_imitation_weights`. None for the expert alone
     :param backup_entropy: whether the critic's target includes the entropy of the next action. Source of
         False: https://arxiv.org/abs/2302.02948
-    :param value_range: minimum and maximum possible return; values in targets are clipped to it. Source:
-        https://arxiv.org/abs/1707.01495, appendix A
     :raises ValueError: if an argument is out of its range, there is pretraining without demonstrations or
         without ``bc_weight``, or replay buffer and policy round images differently
     """
@@ -114,7 +112,6 @@ class SACfD(ActorPretraining, SAC):
         expert_q_weight: float = 1.0,
         self_imitation_temperature: float | None = None,
         backup_entropy: bool = True,
-        value_range: tuple[float, float] | None = None,
         stats_window_size: int = 100,
         tensorboard_log: str | None = None,
         policy_kwargs: dict[str, Any] | None = None,
@@ -160,7 +157,6 @@ class SACfD(ActorPretraining, SAC):
         self.expert_q_weight = expert_q_weight
         self.self_imitation_temperature = self_imitation_temperature
         self.backup_entropy = backup_entropy
-        self.value_range = value_range
         self._check_arguments()
 
         if _init_setup_model:
@@ -182,8 +178,6 @@ class SACfD(ActorPretraining, SAC):
         temperature = self.self_imitation_temperature
         if temperature is not None and temperature <= 0:
             raise ValueError(f"self_imitation_temperature must be None or greater than 0, got {temperature}")
-        if self.value_range is not None and not self.value_range[0] < self.value_range[1]:
-            raise ValueError(f"value_range must be None or (minimum, maximum), got {self.value_range}")
 
     def _setup_model(self) -> None:
         super()._setup_model()
@@ -302,8 +296,6 @@ class SACfD(ActorPretraining, SAC):
         next_actions, next_log_prob = self._action_log_prob(self._features(self.actor, next_observations))
         features = self._features(self.critic_target, next_observations)
         next_q_values = self._target_values(self._q_values(self.critic_target, features, next_actions))
-        if self.value_range is not None:
-            next_q_values = next_q_values.clamp(*self.value_range)
         if self.backup_entropy:
             # add entropy term
             next_q_values = next_q_values - ent_coef * next_log_prob

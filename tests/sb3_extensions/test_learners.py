@@ -142,7 +142,6 @@ def test_at_most_twelve_additions_and_all_off():
         ({"n_steps": 0}, "n_steps"),
         ({"bc_limit": 1.5}, "bc_limit .* got 1.5"),
         ({"self_imitation_temperature": 0.0}, "self_imitation_temperature"),
-        ({"value_range": (1.0, 0.0)}, "value_range"),
         ({"policy_kwargs": {"actor_tau": 1.5}}, "actor_tau .* got 1.5"),
         ({"augmentation": {"rad": {"size": 16}}}, "16 x 16"),
         ({"train_freq": 0}, "train_freq .* n_envs=1"),

@@ -164,7 +164,7 @@ def test_the_paper_preset_has_the_numbers_of_the_paper_in_closed_loop() -> None:
         **{"batch_size": 64, "buffer_size": 100_000, "n_envs": 5, "expert_episodes": 100, "bc_weight": 1.0},
         **{"tau": 0.01, "train_freq": 1, "gradient_steps": 1, "n_timesteps": 5 * 10_000},
     }
-    additions = {"n_steps", "bc_limit", "backup_entropy", "pretrain_steps", "value_range"}
+    additions = {"n_steps", "bc_limit", "backup_entropy", "pretrain_steps"}
     assert not additions & experiment.hyperparams.keys()  # their defaults are the paper's
     assert experiment.hyperparams.items() >= expected.items()
     assert experiment.hyperparams["env_kwargs"]["obs_size"] == 128
