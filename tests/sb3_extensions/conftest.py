@@ -4,7 +4,6 @@ picking and placing, open loop.
 
 import copy
 import functools
-import itertools
 import math
 from collections.abc import Callable
 from typing import Any, ClassVar
@@ -18,7 +17,6 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_extensions.ferm import FERM
 from sb3_extensions.sacfd import SACfD
-from sb3_extensions.tqcfd import TQCfD
 
 ENV_ID, PICKING_ID = "ToyReach-v0", "ToyPicking-v0"
 REACH = 0.15  # m
@@ -250,8 +248,6 @@ SMALL: dict[str, dict[str, Any]] = {
     "EquivariantPolicy": {"features_extractor_kwargs": {"n": 4, "channels": [2, 4, 8]}},
     "StatePolicy": {"features_extractor_kwargs": {"layers": [32, 32]}, "net_arch": {"pi": [], "qf": [32]}},
 }
-POLICIES = ("MultiInputPolicy", "EquivariantPolicy")
-LEARNERS = [*itertools.product((SACfD, TQCfD), POLICIES), (FERM, "MultiInputPolicy")]
 
 
 def make_envs(
@@ -293,16 +289,3 @@ def make_learner(make_toy: MakeEnv) -> MakeLearner:
         return learner(policy, env, policy_kwargs=network, device="cpu", **{**settings, **kwargs})
 
     return make
-
-
-@pytest.fixture(scope="session", params=LEARNERS, ids=lambda pair: f"{pair[0].__name__}-{pair[1]}")
-def learner(request: pytest.FixtureRequest) -> tuple[type[SACfD], str]:
-    """Each learner of the closed loop with the name of each of its policies."""
-    assert isinstance(request.param, tuple)
-    return request.param
-
-
-@pytest.fixture(scope="session")
-def trained(learner: tuple[type[SACfD], str], make_toy: MakeEnv, make_learner: MakeLearner) -> SACfD:
-    """Model of each learner after 20 steps in two environments; tests leave it as it is."""
-    return make_learner(make_toy(2), *learner).learn(20)

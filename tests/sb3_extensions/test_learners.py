@@ -1,19 +1,20 @@
 """Contract of the closed-loop learners: SACfD, TQCfD and FERM with each of their policies."""
 
-import copy
 import inspect
+import math
 
-import numpy as np
+import gymnasium
 import pytest
-import torch as th
 from stable_baselines3 import SAC
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecNormalize
 
+import bulletarm_gym  # noqa: F401 (registers the environments)
 from sb3_extensions.common.env_metadata import constructor_keys
 from sb3_extensions.encoders.extractors import CnnExtractor
 from sb3_extensions.ferm import FERM
+from sb3_extensions.replay.rotation import Rotation
 from sb3_extensions.sacfd import SACfD
 from sb3_extensions.sacfd.policies import MultiInputPolicy
 from sb3_extensions.spatial_dqn import SDQfD, SpatialDQN
@@ -22,59 +23,12 @@ from sb3_extensions.tqcfd import TQCfD
 PARAMETERS = inspect.signature(SACfD).parameters
 
 
-def assert_equal_parameters(first, second):
-    theirs = second.policy.state_dict()
-    for name, value in first.policy.state_dict().items():
-        np.testing.assert_array_equal(value, theirs[name], err_msg=name)
-
-
-def test_training_is_deterministic(learner, trained, make_toy, make_learner):
-    assert (trained.num_timesteps, trained._n_updates) == (20, 10)
-    assert trained.replay_buffer.size() == trained.replay_buffer.expert_size + 20 > 20
-    assert all(th.isfinite(value).all() for value in trained.policy.parameters())
-    np.random.seed(1)  # global generators have no effect
-    again = make_learner(make_toy(2), *learner).learn(20)
-    assert_equal_parameters(trained, again)
-    samples = [copy.deepcopy(model.replay_buffer).sample(16).indices for model in (trained, again)]
-    np.testing.assert_array_equal(*samples)
-
-
 def test_environments_by_id_and_normalised_environments(make_toy, make_learner):
     make_learner("ToyReach-v0").learn(3)
     for kwargs in ({"norm_obs": False}, {"norm_obs_keys": ["holding"]}):
         make_learner(VecNormalize(make_toy(), **kwargs)).learn(3)
     with pytest.raises(ValueError, match="heightmap"):
         make_learner(VecNormalize(make_toy())).learn(1)
-
-
-def optimizer_states(model) -> list[th.Tensor]:
-    optimizers = [model.actor.optimizer, model.critic.optimizer, model.ent_coef_optimizer]
-    return [value for each in optimizers for state in each.state.values() for value in state.values()]
-
-
-def test_loaded_model_equals_the_saved_one(learner, make_toy, make_learner, tmp_path):
-    env = make_toy(2)
-    kwargs = {"bc_weight": 0.3, "n_steps": 2, "gamma": 0.9}
-    model = make_learner(env, *learner, **kwargs).learn(10)
-    model.save(tmp_path / "model")
-    model.save_replay_buffer(tmp_path / "buffer")
-    loaded = learner[0].load(tmp_path / "model", env=env, device="cpu")
-    assert_equal_parameters(model, loaded)
-    assert (loaded.bc_weight, loaded.replay_buffer.n_steps, loaded.replay_buffer.gamma) == (0.3, 2, 0.9)
-    states = [optimizer_states(each) for each in (model, loaded)]
-    assert states[0] and all(th.equal(*pair) for pair in zip(*states, strict=True))
-    observation = env.reset()
-    actions = [each.predict(observation, deterministic=True)[0] for each in (model, loaded)]
-    np.testing.assert_array_equal(*actions)
-    loaded.load_replay_buffer(tmp_path / "buffer")
-    ours, theirs = model.replay_buffer.sample(32), loaded.replay_buffer.sample(32)
-    np.testing.assert_array_equal(ours.indices, theirs.indices)
-    np.testing.assert_array_equal(ours.observations["heightmap"], theirs.observations["heightmap"])
-    loaded.learn(10, reset_num_timesteps=False)
-    assert loaded.replay_buffer.expert_size == model.replay_buffer.expert_size
-
-
-IMITATION = {"expert_episodes": 20, "bc_weight": 10.0, "pretrain_steps": 100, "buffer_size": 1500}
 
 
 @pytest.mark.parametrize(
@@ -94,9 +48,10 @@ IMITATION = {"expert_episodes": 20, "bc_weight": 10.0, "pretrain_steps": 100, "b
 )
 def test_learns_to_reach(learner, policy, kwargs, make_toy, make_learner):
     observation = "state" if policy == "StatePolicy" else "image"
-    networks = {"features_extractor_kwargs": {"channels": [8, 16, 32]}, "net_arch": [32]}
-    kwargs = {"learning_rate": 3e-3, "batch_size": 32, **IMITATION, **kwargs}
+    kwargs = {"learning_rate": 3e-3, "batch_size": 32, "buffer_size": 1500, **kwargs}
+    kwargs |= {"expert_episodes": 20, "bc_weight": 10.0, "pretrain_steps": 100}
     if policy == "MultiInputPolicy":
+        networks = {"features_extractor_kwargs": {"channels": [8, 16, 32]}, "net_arch": [32]}
         kwargs["policy_kwargs"] = networks
     model = make_learner(make_toy(2, observation=observation), learner, policy, **kwargs)
     test_env = make_toy(seed=9, observation=observation)
@@ -181,3 +136,43 @@ def test_an_equivariant_actor_is_refused_in_open_loop(monkeypatch, make_toy, mak
     with pytest.raises(ValueError, match=r"policy .*got EquivariantPolicy"):
         make_learner(env, policy="EquivariantPolicy")
     make_learner(env)
+
+
+SMALL_EQUIVARIANT = {"features_extractor_kwargs": {"n": 4, "channels": [4, 4, 4, 4, 4]}}
+WIDE = [[0.3, 0.6], [-0.15, 0.15], [0.0, 1.0]]
+
+
+def make_sacfd(env, augmentation=None, **policy_kwargs) -> SACfD:
+    policy_kwargs = {**SMALL_EQUIVARIANT, **policy_kwargs}
+    kwargs = {"buffer_size": 100, "policy_kwargs": policy_kwargs, "augmentation": augmentation}
+    return SACfD("EquivariantPolicy", env, **kwargs)
+
+
+def make_codec(codec_kwargs=None, **env_kwargs):
+    stacking = "BulletArm/OpenLoopBlockStacking-v0"
+    env = gymnasium.make(stacking, obs_size=32, in_hand_size=16, **env_kwargs)
+    policy_kwargs = {"network_kwargs": {"channels": [4, 4, 4]}, "codec_kwargs": codec_kwargs}
+    return SpatialDQN("FCNPolicy", env, buffer_size=100, policy_kwargs=policy_kwargs).codec
+
+
+def test_policy_and_rotation_adopt_the_action_sequence_of_the_environment():
+    env = gymnasium.make("BulletArm/CloseLoopBlockPicking-v0", obs_size=64, action_sequence="xyzpr")
+    model = make_sacfd(env, {"rotation": {}, "rad": {"size": 60}})
+    assert model.policy.action_sequence == "xyzpr"
+    assert model.augmentation.steps[0] == Rotation(action_sequence="xyzpr")
+    assert model.actor.features_extractor.stack.size == 60
+    assert make_sacfd(env, action_sequence="pxyzr").policy.action_sequence == "pxyzr"
+    action_space = gymnasium.spaces.Box(-1.0, 1.0, (4,))
+    shorter = gymnasium.wrappers.TransformAction(env, lambda action: [*action, 0.0], action_space)
+    with pytest.raises(ValueError, match=r"action_sequence must .*, got 'pxyzr'"):
+        make_sacfd(shorter)
+    make_sacfd(shorter, action_sequence="pxyz")
+
+
+def test_grid_adopts_the_action_ranges():
+    codec = make_codec(action_sequence="xypr", workspace=WIDE, half_rotation=False)
+    assert codec.action_sequence == "xypr"
+    assert codec.theta_bounds == (-math.pi, math.pi)
+    assert codec.workspace_size == pytest.approx(0.3)
+    assert make_codec().theta_bounds == (0.0, math.pi)
+    assert make_codec({"workspace_size": 0.5}, workspace=WIDE).workspace_size == 0.5

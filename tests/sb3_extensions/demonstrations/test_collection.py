@@ -1,14 +1,29 @@
-"""Collection of expert episodes, with noise and with actions on a grid."""
+"""Collection of expert episodes, with noise and on a grid, in copies of the training environments."""
 
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
+import torch as th
 from gymnasium import spaces
+from gymnasium.wrappers import FrameStackObservation, TransformObservation
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from stable_baselines3.common.vec_env import (
+    DummyVecEnv,
+    SubprocVecEnv,
+    VecEnvWrapper,
+    VecFrameStack,
+    VecNormalize,
+    VecTransposeImage,
+)
+from stable_baselines3.sac.policies import MultiInputPolicy as StockPolicy
 
+from sb3_extensions.demonstrations import source
 from sb3_extensions.demonstrations.action_transforms import GaussianExpertNoise, GridSnapping
 from sb3_extensions.demonstrations.collection import collect_episodes
+from sb3_extensions.demonstrations.expert_envs import make_expert_envs
 from sb3_extensions.spatial_dqn.codec import SpatialActionCodec
 
 
@@ -43,15 +58,6 @@ def test_episodes_are_successes_that_their_seed_repeats():
             assert reward == episode.rewards[k]
 
 
-def test_only_the_first_episode_of_a_kept_scene_has_a_seed(monkeypatch):
-    drawn = seeds(3)
-    monkeypatch.setattr(type(make_env().unwrapped), "keeps_scene", True, raising=False)
-    assert seeds(3) == [drawn[0], None, None]
-    starts = [[each.observations["heightmap"][0].argmax() for each in collect(3)] for _ in range(2)]
-    assert starts[0] == starts[1]
-    assert len(set(starts[0])) == 3
-
-
 class FailingOnce(gym.Wrapper[Any, Any, Any, Any]):
     """Whose second episode is never a success."""
 
@@ -68,25 +74,21 @@ class FailingOnce(gym.Wrapper[Any, Any, Any, Any]):
         return *outcome, {**info, "is_success": info["is_success"] and len(self.seeds) != 2}
 
 
-def test_failed_scene_is_reset(monkeypatch):
+def test_a_kept_scene_is_reset_after_a_failure_only(monkeypatch):
+    """Only the first episode of a scene has a seed."""
     monkeypatch.setattr(type(make_env().unwrapped), "keeps_scene", True, raising=False)
     env = FailingOnce()
     kept = seeds(3, env=env)
     first, second, after_failure, third, *rest = env.seeds  # a vector environment also resets at the end
     assert second is None and after_failure is None and third not in (None, first)
-    assert rest == [None, None]
-    assert kept == [first, third, None]
+    assert rest == [None, None] and kept == [first, third, None]
 
 
 def test_noise_changes_executed_but_not_intended_actions():
     """The label of DART is the intended action in the state that results from earlier errors."""
-
-    def noisily(noise: float) -> list[Any]:
-        return collect(20, transform=GaussianExpertNoise(make_env().action_space, noise))
-
-    noisy, again, steady = noisily(0.05), noisily(0.05), noisily(0.0)
+    transform = GaussianExpertNoise(make_env().action_space, 0.05)
+    noisy, again = (collect(20, transform=transform) for _ in range(2))
     np.testing.assert_array_equal(noisy[0].actions, again[0].actions)
-    assert noisy[0].actions.dtype == np.float32
     env, errors = make_env(), []
     for episode in noisy:
         env.reset(seed=episode.seed)
@@ -94,45 +96,30 @@ def test_noise_changes_executed_but_not_intended_actions():
             np.testing.assert_array_equal(wanted, env.unwrapped.expert_action())
             errors.append(action - wanted)
             env.step(action)
-        assert abs(episode.actions).max() <= 1.0
-    inside = [error for error in np.concatenate(errors) if error]
-    assert 0.02 < np.std(inside) < 0.06
-    assert not np.array_equal(noisy[0].actions[0], steady[0].actions[0])
-    np.testing.assert_array_equal(steady[0].actions, steady[0].expert_actions)
+        assert abs(episode.actions).max() <= 1.0 and episode.actions.dtype == np.float32
+    assert 0.02 < np.std([error for error in np.concatenate(errors) if error]) < 0.06
 
 
-@pytest.mark.parametrize(
-    "space",
-    [
-        spaces.Box(-1.0, 1.0, (4,), np.float32),
-        spaces.Box(np.array([0.0, 2.0, -3.0, 0.0]), np.array([1.0, 2.4, 5.0, 3.2]), dtype=np.float64),
-    ],
-)
-def test_nearest_actions_of_a_grid_in_the_units_of_the_environment(space):
-    codec = SpatialActionCodec(24, "pxyr", num_rotations=4)
+def test_nearest_actions_of_a_grid_in_the_units_of_the_environment():
+    low, high = np.array([0.0, 2.0, -3.0, 0.0]), np.array([1.0, 2.4, 5.0, 3.2])
+    space, codec = spaces.Box(low, high, dtype=np.float64), SpatialActionCodec(24, "pxyr", num_rotations=4)
     transform, rng = GridSnapping(space, codec), np.random.default_rng(0)
     space.seed(0)
     for _ in range(50):
         wanted = space.sample()
         done = transform(wanted, rng)
         assert space.contains(done) and done.dtype == space.dtype
-        share = (wanted - space.low) / (space.high - space.low)
-        expected = codec.snap(2 * share[None] - 1)[0]
-        np.testing.assert_allclose(2 * (done - space.low) / (space.high - space.low) - 1, expected, atol=1e-6)
+        expected = codec.snap((2 * (wanted - low) / (high - low) - 1)[None])[0]
+        np.testing.assert_allclose(2 * (done - low) / (high - low) - 1, expected, atol=1e-6)
         np.testing.assert_allclose(transform(done, rng), done, atol=1e-6)
-    np.testing.assert_array_equal(transform(space.high + 1, rng), transform(space.high, rng))
-
-
-class WithoutExpert(gym.Env[Any, Any]):
-    observation_space = spaces.Dict({"a": spaces.Box(0, 1)})
-    action_space = spaces.Box(-1, 1)
+    np.testing.assert_array_equal(transform(high + 1, rng), transform(high, rng))
 
 
 def test_environments_without_successes_or_expert_are_rejected():
     with pytest.raises(RuntimeError, match=r"0 of 8 episodes .*, 2 needed"):
         collect(2, env=make_env(expert_failures=100))
     with pytest.raises(ValueError, match="expert_action"):
-        collect(1, env=WithoutExpert())
+        collect(1, env=gym.make("Pendulum-v1"))
 
 
 def test_an_observation_without_a_dict_has_one_key():
@@ -140,3 +127,126 @@ def test_an_observation_without_a_dict_has_one_key():
     env = gym.wrappers.TransformObservation(make_env(), lambda obs: obs["heightmap"], heightmap)
     [episode] = collect(1, env=env)
     assert episode.observations["observation"].shape == (len(episode.actions) + 1, 1, 16, 16)
+
+
+class Halved(gym.ObservationWrapper[Any, Any, Any]):
+    """Wrapper that a spec cannot create again."""
+
+    def observation(self, observation: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        return {**observation, "heightmap": observation["heightmap"] * np.float32(0.5)}
+
+
+def stacked_and_unstacked(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
+    env = FrameStackObservation(env, 1)
+    parts = {key: spaces.Box(0, 1, part.shape[1:]) for key, part in env.observation_space.spaces.items()}
+    return TransformObservation(env, lambda obs: {k: v[0] for k, v in obs.items()}, spaces.Dict(parts))
+
+
+def demonstrated(model, key: str = "heightmap") -> np.ndarray:
+    """Return the stored images of the demonstrations."""
+    table = model.learn(3).replay_buffer.table
+    images = table.observations[key][: table.n_pinned]
+    return images
+
+
+def test_a_copy_has_the_wrappers_but_not_the_monitor(tmp_path):
+    env = DummyVecEnv([lambda: Monitor(Halved(make_env(max_steps=7)), str(tmp_path / "log"))])
+    [(copy, share)] = make_expert_envs(VecNormalize(env, norm_obs_keys=["holding"]))
+    assert share == 1 and isinstance(copy, DummyVecEnv)
+    assert isinstance(copy.envs[0], Halved) and copy.envs[0].unwrapped is not env.envs[0].unwrapped
+    assert copy.envs[0].unwrapped.max_steps == 7
+    env.reset()
+    env.step(np.zeros((1, 5), np.float32))  # the monitor of the training still has its file
+    assert env.envs[0].results_writer is not None
+
+
+@pytest.mark.parametrize(("wrapper", "highest"), [(Halved, 128), (stacked_and_unstacked, 255 * 0.4)])
+def test_demonstrations_have_the_users_wrappers(wrapper, highest, make_learner):
+    stored = demonstrated(make_learner(DummyVecEnv([lambda: wrapper(make_env())])))
+    assert abs(int(stored.max()) - highest) <= 6
+
+
+def test_stacked_frames_of_a_vector_environment(make_learner):
+    env = VecFrameStack(DummyVecEnv([make_env, make_env]), 2, {"heightmap": "first", "holding": "last"})
+    episode = demonstrated(make_learner(env))
+    assert episode.shape[1:] == (2, 16, 16)
+    assert not episode[0, 0].any()  # nothing before the first observation
+    np.testing.assert_array_equal(episode[1, 0], episode[0, 1])
+
+
+class Camera(gym.ObservationWrapper[Any, Any, Any]):
+    """Add a camera of 8-bit images with the channels last, and a number without a shape."""
+
+    def __init__(self, env: gym.Env[Any, Any]):
+        super().__init__(env)
+        parts = {"rgb": spaces.Box(0, 255, (20, 16, 3), np.uint8), "height": spaces.Box(0.0, 1.0, ())}
+        self.observation_space = spaces.Dict(parts)
+
+    def observation(self, observation: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        image = np.zeros((20, 16, 3), np.uint8)
+        image[:16] = (observation["heightmap"][0] * 600).astype(np.uint8)[..., None]
+        image[16:, :, 1] = 9
+        return {"rgb": image, "height": np.float32(observation["heightmap"].max())}
+
+
+class HeightExtractor(BaseFeaturesExtractor):
+    """Extractor of the number without a shape."""
+
+    def __init__(self, observation_space):
+        super().__init__(observation_space, 1)
+
+    def forward(self, observations: dict[str, th.Tensor]) -> th.Tensor:
+        return observations["height"].reshape(-1, 1)
+
+
+def test_demonstrations_with_a_camera_and_a_number_without_a_shape(make_learner):
+    env = DummyVecEnv([lambda: Camera(make_env())])
+    model = make_learner(env, policy=StockPolicy, policy_kwargs={"features_extractor_class": HeightExtractor})
+    stored = demonstrated(model, "rgb")
+    assert isinstance(model.get_env(), VecTransposeImage)
+    assert stored.shape[1:] == (3, 20, 16)
+    assert (stored[:-1, 1, 16:] == 9).all() and not stored[:, 0, 16:].any()
+
+
+@pytest.mark.parametrize("episodes, expected", [(6, [4, 2]), (1, [1, 0]), (5, [3, 2])])
+def test_different_environments_contribute_in_proportion(episodes, expected, monkeypatch):
+    env = DummyVecEnv([make_env, make_env, lambda: make_env(max_steps=50)])
+    copies = make_expert_envs(env)
+    assert [(copy.get_attr("max_steps")[0], share) for copy, share in copies] == [(10, 2), (50, 1)]
+    counts = []
+    monkeypatch.setattr(source, "collect_episodes", lambda env, n, *args, **kwargs: counts.append(n) or [])
+    list(source.DemonstrationSource(episodes)._collect(env, 0))
+    assert counts == expected
+
+
+def test_environments_in_other_processes_come_from_their_spec():
+    make = [lambda: Monitor(make_env(max_steps=7, render_mode="rgb_array"))] * 2
+    env = SubprocVecEnv(make, start_method="fork")
+    try:
+        [(copy, share)] = make_expert_envs(env)
+    finally:
+        env.close()
+    assert share == 2 and copy.get_attr("max_steps") == [7]
+    assert copy.get_attr("render_mode") == [None]
+
+
+class Uncopyable(gym.Wrapper[Any, Any, Any, Any]):
+    spec = None
+
+    def __deepcopy__(self, memo):
+        raise TypeError("no copies")
+
+
+class UnknownWrapper(VecEnvWrapper):
+    def reset(self):
+        return self.venv.reset()
+
+    def step_wait(self):
+        return self.venv.step_wait()
+
+
+def test_env_that_cannot_be_copied_is_rejected_with_advice():
+    with pytest.raises(ValueError, match=r"env .*expert_data=collect_episodes"):
+        make_expert_envs(DummyVecEnv([lambda: Uncopyable(make_env())]))
+    with pytest.raises(ValueError, match=r"env .*UnknownWrapper.*expert_data"):
+        make_expert_envs(UnknownWrapper(DummyVecEnv([make_env])))

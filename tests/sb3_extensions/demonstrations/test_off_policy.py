@@ -1,16 +1,27 @@
-"""Base class of algorithms with demonstrations, tested with SACfD."""
+"""Demonstrations that users pass and replay buffers of loaded models: accepted forms and refusals."""
 
 from __future__ import annotations
 
-import re
+import dataclasses
+import subprocess
+import sys
+from types import SimpleNamespace
+from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium import spaces
+from gymnasium.wrappers import RescaleAction
 from stable_baselines3 import SAC
+from stable_baselines3.common.env_util import make_vec_env
 
+from bulletarm_gym.demonstrations import Demonstrations, collect
 from sb3_extensions.demonstrations.collection import collect_episodes
+from sb3_extensions.demonstrations.dagger import DaggerCallback
+from sb3_extensions.demonstrations.episodes import Episode
 from sb3_extensions.demonstrations.expert_envs import make_expert_envs
+from sb3_extensions.demonstrations.source import load_episodes
 from sb3_extensions.sacfd import SACfD
 
 
@@ -37,16 +48,8 @@ def test_the_replay_buffer_follows_the_discount(make_toy, make_learner, tmp_path
     assert (buffer.gamma, buffer.n_steps) == (0.5, 2)
     model.save(tmp_path / "model")
     loaded = SACfD.load(tmp_path / "model", env=make_toy(), device="cpu", gamma=0.7, replay_buffer_kwargs={})
-    assert loaded.replay_buffer is not None and loaded.replay_buffer.gamma == 0.7
-    assert loaded.replay_buffer.n_steps == loaded.n_steps == 2
+    assert (loaded.replay_buffer.gamma, loaded.replay_buffer.n_steps, loaded.n_steps) == (0.7, 2, 2)
     loaded.learn(3)
-
-
-def test_the_buffer_stores_what_the_extractor_rounds_to(make_learner):
-    for quantise in ("uint8", "uint16"):
-        extractor = {"channels": [4, 8, 8], "quantise": quantise}
-        model = make_learner(policy_kwargs={"features_extractor_kwargs": extractor})
-        assert model.replay_buffer.image_dtype == quantise
 
 
 def test_interrupted_collection_starts_again(make_learner, monkeypatch):
@@ -85,29 +88,24 @@ def test_loaded_model_requires_expert_data_again(make_toy, make_learner, tmp_pat
     assert loaded.learn(2).replay_buffer.expert_size == model.replay_buffer.expert_size
 
 
+COLOUR = spaces.Dict({"rgb": spaces.Box(0.0, 1.0, (1, 16, 16))})
+
+
 @pytest.mark.parametrize(
-    ("n_envs", "changes", "message"),
+    ("n_envs", "dtype", "attributes", "message"),
     [
-        (2, {}, "n_envs .* 1, got 2"),
-        (1, {"image_dtype": "uint16"}, "image_dtype='uint16'"),
-        (
-            1,
-            {"observation_space": spaces.Dict({"rgb": spaces.Box(0.0, 1.0, (1, 16, 16))})},
-            "observation_space",
-        ),
-        (1, {"action_space": spaces.Box(-2.0, 2.0, (5,))}, "action_space"),
+        (2, "uint8", {}, "n_envs .* 1, got 2"),
+        (1, "uint16", {}, "image_dtype='uint16'"),
+        (1, "uint8", {"observation_space": COLOUR}, "observation_space of the buffer must be .* got .*rgb"),
+        (1, "uint8", {"action_space": spaces.Box(-2.0, 2.0, (5,))}, "action_space of .* got .*2.0"),
     ],
 )
 def test_a_replay_buffer_of_another_environment_is_rejected(
-    n_envs, changes, message, make_toy, make_learner, tmp_path
+    n_envs, dtype, attributes, message, make_toy, make_learner, tmp_path
 ):
-    dtype = changes.get("image_dtype", "uint8")
     extractor = {"features_extractor_kwargs": {"channels": [4, 8, 8], "quantise": dtype}}
     other, model = make_learner(make_toy(n_envs), policy_kwargs=extractor), make_learner()
-    for name, space in changes.items():
-        if name.endswith("space"):
-            setattr(other.replay_buffer, name, space)
-            message = re.escape(f"{name} of the buffer must be {getattr(model, name)}, got {space}")
+    vars(other.replay_buffer).update(attributes)
     other.save_replay_buffer(tmp_path / "buffer")
     model.load_replay_buffer(tmp_path / "buffer")
     with pytest.raises(ValueError, match=message):
@@ -121,3 +119,141 @@ def test_a_replay_buffer_of_another_class_is_rejected(make_toy, make_learner, tm
     model.load_replay_buffer(tmp_path / "buffer")
     with pytest.raises(AssertionError, match="ExpertReplayBuffer"):
         model.learn(1)
+
+
+ENV_ID = "BulletArm/CloseLoopBlockReaching-v0"
+OTHER_ID = "BulletArm/CloseLoopBlockPicking-v0"
+PARTS = ("observations", "actions", "rewards", "terminations")
+
+
+@pytest.fixture(scope="module")
+def reaching() -> Demonstrations:
+    return collect(ENV_ID, 1, seed=0, env_kwargs={"observation": "state"})
+
+
+class MinariLike(list[Any]):
+    """Episodes with the attributes of a Minari data set."""
+
+    action_ranges = None
+
+    def __init__(self, episodes, **kwargs):
+        super().__init__(episodes)
+        self.env_spec = SimpleNamespace(id=kwargs.pop("id", ENV_ID), kwargs=kwargs)
+        self.action_space = spaces.Box(-1.0, 1.0, (5,), np.float32)
+
+
+def learn(data, env=None, policy: str = "StatePolicy", **env_kwargs):
+    """Return the replay buffer after a step; refused demonstrations leave it empty."""
+    env = env or make_vec_env(ENV_ID, env_kwargs={"observation": "state", **env_kwargs})
+    model = SACfD(policy, env, expert_data=data, buffer_size=100, seed=0)
+    try:
+        return model.learn(1).replay_buffer
+    except ValueError:
+        assert model.replay_buffer.size() == 0
+        raise
+
+
+def plain_episode(episode, **changes) -> Episode:
+    parts = {name: getattr(episode, name) for name in (*PARTS, "truncations", "seed")}
+    return dataclasses.replace(Episode(**parts, expert_actions=episode.actions), **changes)
+
+
+def rescaled(low: float, high: float):
+    env = gym.make(ENV_ID, observation="state")
+    return make_vec_env(lambda: RescaleAction(env, np.float32(low), np.float32(high)))
+
+
+def test_forms_of_expert_data(reaching, tmp_path):
+    """Demonstrations, files, episodes with Minari's attributes, iterators, and further observations."""
+    path = tmp_path / "reaching.h5"
+    reaching.save(path)
+    more = {**reaching[0].observations, "more": np.zeros((len(reaching[0]) + 1, 2))}
+    few = SimpleNamespace(**{name: getattr(reaching[0], name) for name in PARTS})
+    minari = MinariLike(reaching, action_sequence="pxyzr")
+    further = [plain_episode(reaching[0], observations=more)]
+    actions = []
+    for data in (reaching, path, str(path), minari, iter([few]), further):
+        buffer = learn(data)
+        assert buffer.expert_size == len(reaching[0])
+        actions.append(buffer.steps("action")[: buffer.expert_size])
+    assert all(np.array_equal(actions[0], other) for other in actions[1:])
+
+
+def test_expert_data_without_episodes_is_refused(reaching, tmp_path):
+    used = iter([plain_episode(reaching[0])])
+    learn(used)
+    for data in ([], used):
+        with pytest.raises(ValueError, match=r"expert_data .*, got none"):
+            learn(data)
+    with pytest.raises(ValueError, match=r"expert_data .* got 3"):
+        load_episodes(3)
+    (tmp_path / "other.h5").write_bytes(b"other")
+    with pytest.raises(ValueError, match=r"other\.h5"):
+        learn(tmp_path / "other.h5")
+    with pytest.raises(FileNotFoundError, match=r"none\.h5"):
+        learn(tmp_path / "none.h5")
+
+
+@pytest.mark.parametrize("sequence", ["xyzrp", "pxyz"])
+def test_demonstrations_of_other_actions_are_refused(sequence, reaching):
+    with pytest.raises(ValueError, match=f"^expert_data must have action_sequence='{sequence}'.*'pxyzr'$"):
+        learn(reaching, action_sequence=sequence)
+    with pytest.raises(ValueError, match=f"got '{sequence}'"):
+        learn(MinariLike(reaching, action_sequence=sequence))
+    data = MinariLike(reaching)
+    data.action_ranges = {**(reaching.action_ranges or {}), "x": (0.0, 1.0)}
+    with pytest.raises(ValueError, match=r"^expert_data must have action_ranges=.* got .*\(0\.0, 1\.0\)"):
+        learn(data)
+    with pytest.raises(ValueError, match=r"action_space=Box\(0\.0, 1\.0.*got Box\(-1\.0, 1\.0"):
+        learn(reaching, rescaled(0.0, 1.0))
+
+
+def test_demonstrations_of_another_task_are_refused():
+    picking = collect(OTHER_ID, 1, seed=0, env_kwargs={"obs_size": 48})
+    kwargs = {"policy": "MultiInputPolicy", "observation": "image", "obs_size": 48}
+    for data in (picking, MinariLike(picking, id=OTHER_ID)):
+        with pytest.raises(ValueError, match=f"^expert_data .*{ENV_ID}, got episodes of {OTHER_ID}"):
+            learn(data, **kwargs)
+    learn(list(picking), **kwargs)  # episodes alone have no environment
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "message"),
+    [
+        ("actions", lambda x: x[:, :4], r"actions of shape \(\d+, 5\), got \(\d+, 4\)"),
+        ("actions", lambda x: x[:0], "at least one step .* got 0 in episode 1"),
+        ("observations", lambda x: x["state"], r"keys \['holding', 'state'\], got ndarray"),
+        ("observations", lambda x: {"other": x["state"]}, r"keys \['holding', 'state'\], got \['other'\]"),
+        ("observations", lambda x: {**x, "state": x["state"][:, :3]}, r"observations\['state'\] of .*3\)"),
+        ("observations", lambda x: {**x, "state": x["state"][1:]}, r"observations\['state'\] of shape"),
+        ("observations", lambda x: {**x, "holding": x["holding"] - 3}, r"observations\['holding'\] .* -3"),
+        ("terminations", lambda x: x[1:], r"terminations of shape \(\d+,\), got"),
+        ("rewards", lambda x: x[:-1], r"rewards of shape \(\d+,\), got \(\d+,\) in episode 1"),
+        ("rewards", lambda x: x + np.inf, "rewards from .* got inf to inf in episode 1"),
+        ("actions", lambda x: x * 1000, r"actions from -1 to 1, got -?\d+ to \d+ in episode 1"),
+        ("actions", lambda x: np.full_like(x, np.nan), "actions from -1 to 1, got nan to nan in episode 1"),
+        ("expert_actions", lambda x: x - 7, "expert_actions from -1 to 1, got -8"),
+    ],
+)
+def test_shapes_and_values_outside_their_bounds_are_refused(name, change, message, reaching):
+    episode = plain_episode(reaching[0])
+    wrong = dataclasses.replace(episode, **{name: change(getattr(episode, name))})
+    with pytest.raises(ValueError, match=f"^expert_data must have .*{message}"):
+        learn([episode, wrong])
+
+
+def test_bulletarm_gym_is_imported_for_a_path_only():
+    code = "import sys, sb3_extensions.sacfd; assert 'bulletarm_gym' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.parametrize("callback", [None, DaggerCallback()])
+def test_learner_stores_the_experts_actions_in_the_wrapped_action_space(callback):
+    stored = []
+    for env in (make_vec_env(ENV_ID, env_kwargs={"observation": "state"}), rescaled(-2.0, 5.0)):
+        model = SACfD("StatePolicy", env, expert_episodes=2, expert_noise=0.05, buffer_size=100, seed=0)
+        buffer = model.learn(2, callback=callback).replay_buffer
+        executed, intended = (buffer.steps(name) for name in ("action", "expert_action"))
+        assert np.abs(executed - intended)[: buffer.expert_size].max() > 0.02
+        stored.append(intended[: buffer.expert_size + 1])
+    np.testing.assert_allclose(stored[0], stored[1], atol=1e-5)

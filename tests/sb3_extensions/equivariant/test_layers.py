@@ -19,7 +19,6 @@ from sb3_extensions.equivariant.layers import (
     DynamicEquivariantConv2d,
     EquivariantConv2d,
     EquivariantLinear,
-    GroupMaxPool,
     expanded_filters,
 )
 
@@ -34,14 +33,8 @@ def _seed():
 
 
 def mixed_type(group: Group) -> FieldType:
-    fields = [
-        (group.regular, 2),
-        (group.irrep(1), 1),
-        (group.sign, 2),
-        (group.trivial, 3),
-        (group.irrep(2), 1),
-    ]
-    return FieldType.of(*fields, (group.quotient(2 - group.n % 2), 1))
+    fields = [(group.regular, 2), (group.irrep(1), 1), (group.sign, 2), (group.trivial, 3)]
+    return FieldType.of(*fields, (group.irrep(2), 1), (group.quotient(2 - group.n % 2), 1))
 
 
 def act(features: th.Tensor, field_type: FieldType, element: int) -> th.Tensor:
@@ -57,18 +50,20 @@ def relative_error(found: th.Tensor, expected: th.Tensor) -> float:
     return float((found - expected).detach().abs().max() / expected.detach().abs().max())
 
 
-def convolution(group: Group, kernel_size: int, stride: int = 1, dynamic: bool = False):
+def convolution(group: Group, kernel_size: int, stride: int = 1):
     """Return a layer, the types of its fields, and images; their size is 1 for filters of one pixel."""
     fields = mixed_type(group)
+    layer = EquivariantConv2d(fields, fields, kernel_size, stride, padding=(kernel_size - stride % 2) // 2)
+    nn.init.normal_(layer.bias)
+    return layer, fields, fields, th.randn(2, fields.size, *[1 if kernel_size == 1 else 8] * 2)
+
+
+def dynamic_convolution(group: Group, kernel_size: int):
+    fields = mixed_type(group)
+    layer = DynamicEquivariantConv2d(fields, fields, kernel_size, padding=kernel_size // 2)
+    coefficients = th.randn(2, layer.num_coefficients)
     image = th.randn(2, fields.size, *[1 if kernel_size == 1 else 8] * 2)
-    padding = (kernel_size - stride % 2) // 2
-    if not dynamic:
-        layer = EquivariantConv2d(fields, fields, kernel_size, stride, padding=padding)
-        nn.init.normal_(layer.bias)
-        return layer, fields, fields, image
-    dynamic_layer = DynamicEquivariantConv2d(fields, fields, kernel_size, padding=padding)
-    coefficients = th.randn(2, dynamic_layer.num_coefficients)
-    return lambda features: dynamic_layer(features, coefficients), fields, fields, image
+    return lambda features: layer(features, coefficients), fields, fields, image
 
 
 def linear(group: Group):
@@ -78,29 +73,15 @@ def linear(group: Group):
     return layer, fields, fields, th.randn(3, fields.size)
 
 
-def pooling(group: Group):
-    fields = FieldType.of((group.regular, 3))
-    layer = GroupMaxPool(fields)
-    return layer, fields, layer.out_type, th.randn(2, fields.size)
-
-
 def encoder_of(group: Group, size: int = 16, **kwargs) -> EquivariantEncoder:
     channels = (max(4, 16 // group.order),) * (count_halvings(size) + 3)
     return EquivariantEncoder(2, size, group, channels, **kwargs)
 
 
-def encoder(group: Group, size: int, strided: int):
-    network = encoder_of(group, size, strided=strided)
-    assert network.out_type.size == network.features_dim
-    return network, FieldType.of((group.trivial, 2)), network.out_type, th.rand(2, 2, size, size)
-
-
 LAYERS = [
     (linear,),
-    (pooling,),
     *[(convolution, *sizes) for sizes in ((1, 1), (3, 1), (5, 1), (2, 2), (4, 2))],
-    *[(convolution, size, 1, True) for size in (1, 3, 5)],
-    *[(encoder, *sizes) for sizes in ((8, 1), (16, 0), (16, 2), (24, 3))],
+    *[(dynamic_convolution, size) for size in (1, 3, 5)],
 ]
 
 
@@ -118,7 +99,7 @@ def test_layers_commute_with_the_group(make, group):
             assert relative_error(turned, act(out, out_type, element)) < EXACT, element
 
 
-@pytest.mark.parametrize(("group", "kernel_size"), [(D4, 3), (D4, 5), (C4, 3), (Group("cyclic", 32), 1)])
+@pytest.mark.parametrize(("group", "kernel_size"), [(D4, 3), (Group("cyclic", 32), 1)])
 def test_dynamic_convolution_equals_one_layer_for_each_sample(group, kernel_size):
     """Coefficients are the layer's weights in units of the standard deviation that these have at first."""
     fields = mixed_type(group)
@@ -127,8 +108,8 @@ def test_dynamic_convolution_equals_one_layer_for_each_sample(group, kernel_size
     coefficients = th.randn(3, layer.num_coefficients, requires_grad=True)
     own = EquivariantConv2d(fields, fields, kernel_size, padding=layer.padding)
     out = layer(image, coefficients)
+    sizes = [*(weight.numel() for weight in own.weights.values()), own.bias.numel()]
     for sample in range(len(image)):
-        sizes = [*(weight.numel() for weight in own.weights.values()), own.bias.numel()]
         *weights, bias = coefficients[sample].split(sizes)
         with th.no_grad():
             own.bias.copy_(bias)
@@ -139,10 +120,6 @@ def test_dynamic_convolution_equals_one_layer_for_each_sample(group, kernel_size
     for given in (image, coefficients):
         assert th.isfinite(given.grad).all() and (given.grad != 0).flatten(1).any(dim=1).all()
     assert not list(layer.parameters()) and not layer.state_dict()
-    last = layer(image.to(memory_format=th.channels_last), coefficients)
-    assert relative_error(last, out) < EXACT
-    with th.autocast("cpu", dtype=th.bfloat16):
-        assert relative_error(layer(image, coefficients.bfloat16()).float(), out) < 0.05
     for wrong in (coefficients[:, 1:], coefficients[0], coefficients[:2]):
         with pytest.raises(ValueError, match=f"coefficients .* {layer.num_coefficients}"):
             layer(image, wrong)
@@ -164,21 +141,6 @@ def test_initial_weights_keep_the_scale_of_a_signal_and_get_gradients():
     with th.no_grad():
         features = deep(0.5 + 0.2 * th.rand(2, 2, 128, 128))
     assert 0.05 < features.square().mean().sqrt() < 5
-
-
-@pytest.mark.parametrize(
-    ("make", "named"),
-    [
-        (lambda: GroupMaxPool(mixed_type(D4)), "regular fields only"),
-        (lambda: EquivariantLinear(FieldType.of((C4.regular, 1)), FieldType.of((C8.regular, 1))), "group"),
-        (lambda: EquivariantLinear(FieldType.of((D4.trivial, 1)), FieldType.of((D4.sign, 1))), "commutes"),
-        (lambda: EquivariantConv2d(mixed_type(C4), mixed_type(C4), 0), "kernel_size"),
-        (lambda: encoder_of(C4, autocast="fp8"), "autocast"),
-    ],
-)
-def test_layers_reject_invalid_arguments(make, named):
-    with pytest.raises(ValueError, match=named):
-        make()
 
 
 @pytest.mark.filterwarnings("ignore:autocast")
@@ -210,7 +172,6 @@ def test_filters_follow_the_weights(training):
     th.save(online.state_dict(), buffer)
     buffer.seek(0)
     loaded.load_state_dict(th.load(buffer, weights_only=True))
-    assert set(online.state_dict()) == set(dict(online.named_parameters()))
     for other in (target, loaded, copy.deepcopy(online), pickle.loads(pickle.dumps(online))):
         assert th.equal(other(image), expected)
 
@@ -238,10 +199,9 @@ def test_encoder_is_one_graph(scope):
         assert relative_error(compiled(image), network(image)) < EXACT
 
 
-@pytest.mark.parametrize("has_bias", [True, False])
 @pytest.mark.parametrize(
-    ("side", "kernel_size", "stride", "padding"),
-    [(3, 3, 1, 0), (4, 4, 2, 0), (1, 1, 1, 0), (3, 3, 1, 1), (8, 4, 2, 1), (5, 3, 2, 0)],
+    ("side", "kernel_size", "stride", "padding", "has_bias"),
+    [(3, 3, 1, 0, True), (4, 4, 2, 0, False), (1, 1, 1, 0, True), (8, 4, 2, 1, False), (5, 3, 2, 0, True)],
 )
 def test_convolutions_and_their_gradients_equal_pytorch(side, kernel_size, stride, padding, has_bias):
     features = th.randn(2, 3, side, side, dtype=th.float64)

@@ -1,4 +1,4 @@
-"""Storage and sampling of the replay buffer compared with slow references."""
+"""Storage, samplers and quantisation of the replay buffer compared with slow references."""
 
 import pickle
 from typing import Any
@@ -12,6 +12,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from sb3_extensions.replay.buffer import ExpertReplayBuffer
 from sb3_extensions.replay.quantisation import Quantiser
+from sb3_extensions.replay.sampling import MIN_PRIORITY
 
 HEIGHT = 0.4
 OBSERVATION_SPACE = spaces.Dict(
@@ -20,63 +21,57 @@ OBSERVATION_SPACE = spaces.Dict(
         "number": spaces.Box(-np.inf, np.inf, (2,), np.float32),
     }
 )
-ACTION_SPACE = spaces.Box(-1, 1, (3,), np.float32)
 GAMMA = 0.9
-both_samplers = pytest.mark.parametrize("sampler", ["uniform", "prioritized"])
 
 
 def make_buffer(size: int = 50, n_envs: int = 1, space=OBSERVATION_SPACE, **kwargs) -> ExpertReplayBuffer:
-    return ExpertReplayBuffer(size, space, ACTION_SPACE, device="cpu", n_envs=n_envs, seed=0, **kwargs)
+    actions = spaces.Box(-1, 1, (3,), np.float32)
+    return ExpertReplayBuffer(size, space, actions, device="cpu", n_envs=n_envs, seed=0, **kwargs)
 
 
 def observe(ids: np.ndarray) -> dict[str, np.ndarray]:
     """Return observations that encode a number exactly in one entry, and as brightness of the image."""
     image = np.broadcast_to((ids % 256)[:, None, None, None] / 255 * HEIGHT, (len(ids), 1, 4, 4))
-    return {
-        "image": image.astype(np.float32),
-        "number": np.stack([ids, -ids], axis=1).astype(np.float32),
-    }
+    return {"image": image.astype(np.float32), "number": np.stack([ids, -ids], axis=1).astype(np.float32)}
 
 
 class Player:
     """Adds episodes to a buffer as an algorithm does, and remembers all transitions in a list."""
 
-    def __init__(self, buffer, seed: int = 0):
-        self.buffer, self.rng = buffer, np.random.default_rng(seed)
-        self.n_envs = buffer.n_envs
-        self.next_id = 1000 * np.arange(1, self.n_envs + 1)
+    def __init__(self, buffer):
+        self.buffer, self.rng = buffer, np.random.default_rng(0)
+        self.next_id = 1000 * np.arange(1, buffer.n_envs + 1)
         self.obs = self.next_id.copy()
         self.transitions = []
-        self.latest = [None] * self.n_envs
+        self.latest = [None] * buffer.n_envs
 
     def step(self, p_terminate: float = 0.1, p_truncate: float = 0.1):
-        terminated = self.rng.random(self.n_envs) < p_terminate
-        truncated = (self.rng.random(self.n_envs) < p_truncate) & ~terminated
+        n_envs = self.buffer.n_envs
+        terminated = self.rng.random(n_envs) < p_terminate
+        truncated = (self.rng.random(n_envs) < p_truncate) & ~terminated
         done = terminated | truncated
         self.next_id += 1
-        next_obs = self.next_id.copy()
-        action = self.rng.uniform(-1, 1, (self.n_envs, 3)).astype(np.float32)
-        reward = self.rng.random(self.n_envs).astype(np.float32)
-        infos = [
-            {"TimeLimit.truncated": bool(t), "is_success": bool(r > 0.5)}
-            for t, r in zip(truncated, reward, strict=True)
-        ]
-        self.buffer.add(observe(self.obs), observe(next_obs), action, reward, done, infos)
-        for i in range(self.n_envs):
-            transition = {
-                "obs": self.obs[i],
-                "next": next_obs[i],
-                "reward": reward[i],
-                "action": action[i],
-                "terminated": terminated[i],
-                "done": done[i],
-                "successor": None,
-                "success": bool(done[i] and reward[i] > 0.5),
-            }
+        columns = {
+            "obs": self.obs,
+            "next": self.next_id.copy(),
+            "reward": self.rng.random(n_envs).astype(np.float32),
+            "action": self.rng.uniform(-1, 1, (n_envs, 3)).astype(np.float32),
+            "terminated": terminated,
+            "done": done,
+        }
+        steps = [{name: values[i] for name, values in columns.items()} for i in range(n_envs)]
+        for i, step in enumerate(steps):
+            step |= {"successor": None, "success": bool(done[i] and step["reward"] > 0.5)}
             if (latest := self.latest[i]) is not None:
-                latest["successor"] = transition
-            self.latest[i] = None if done[i] else transition
-            self.transitions.append(transition)
+                latest["successor"] = step
+            self.latest[i] = None if done[i] else step
+        infos = [
+            {"TimeLimit.truncated": bool(t), "is_success": step["success"]}
+            for t, step in zip(truncated, steps, strict=True)
+        ]
+        ends = observe(self.obs), observe(self.next_id)
+        self.buffer.add(*ends, columns["action"], columns["reward"], done, infos)
+        self.transitions += steps
         self.next_id += done  # the next episode begins with another observation
         self.obs = self.next_id.copy()
 
@@ -94,8 +89,9 @@ def sampled_ids(tensors: dict[str, th.Tensor]) -> np.ndarray:
 def find_kept(player: Player, size: int) -> dict[int, dict[str, Any]]:
     """Return the latest steps of each environment that fit into a ring of ``size`` rows."""
     kept = {}
-    for env in range(player.n_envs):
-        steps = player.transitions[env :: player.n_envs]
+    n_envs = player.buffer.n_envs
+    for env in range(n_envs):
+        steps = player.transitions[env::n_envs]
         rows = 1  # of the last observation
         for step in reversed(steps):
             # The row after the end of an episode is free until its next step.
@@ -106,9 +102,10 @@ def find_kept(player: Player, size: int) -> dict[int, dict[str, Any]]:
     return kept
 
 
-@both_samplers
-@pytest.mark.parametrize("n_envs", [1, 3])
-@pytest.mark.parametrize("n_steps", [1, 3])
+@pytest.mark.parametrize(
+    ("sampler", "n_envs", "n_steps"),
+    [("uniform", 1, 1), ("uniform", 3, 3), ("prioritized", 3, 1), ("prioritized", 1, 3)],
+)
 def test_samples_equal_a_slow_reference(sampler, n_envs, n_steps):
     buffer = make_buffer(40 * n_envs + 1, n_envs, n_steps=n_steps, gamma=GAMMA, sampler=sampler)
     player = Player(buffer)
@@ -140,18 +137,10 @@ def leads_to_success(step: dict[str, Any]) -> bool:
     return bool(step["success"])
 
 
-def test_each_observation_is_stored_once(monkeypatch):
-    player = Player(make_buffer(size=50, n_envs=2))
-    for _ in range(10):
-        player.step(0, 0)
-    assert player.buffer.table.heads.tolist() == [10, 35]
-    player.step(1, 0)
-    player.step(0, 0)
-    assert player.buffer.table.heads.tolist() == [13, 38]  # one row more for the end of the episode
+def test_memory_of_100000_steps_and_warning_without_it(monkeypatch):
     image, number = spaces.Box(0.0, 0.4, (1, 128, 128), np.float32), spaces.Box(0.0, 1.0, (1,), np.float32)
-    space = spaces.Dict({"heightmap": image, "holding": number})
-    buffer = make_buffer(109_000, n_envs=5, space=space)  # 100,000 steps
-    assert buffer.table.nbytes < 1.8e9
+    buffer = make_buffer(109_000, n_envs=5, space=spaces.Dict({"heightmap": image, "holding": number}))
+    assert buffer.table.nbytes < 1.8e9  # each image is stored once
     memory = type("Memory", (), {"available": 1000})
     monkeypatch.setattr("sb3_extensions.replay.buffer.psutil.virtual_memory", lambda: memory)
     with pytest.warns(UserWarning, match="replay buffer needs"):
@@ -170,7 +159,7 @@ def test_reset_in_the_middle_of_an_episode_ends_it():
     np.testing.assert_allclose(samples.discounts.numpy(), GAMMA, rtol=1e-6)
 
 
-@both_samplers
+@pytest.mark.parametrize("sampler", ["uniform", "prioritized"])
 def test_expert_rows_are_never_overwritten(sampler):
     buffer = make_buffer(size=30, sampler=sampler)
     buffer.add_episode(*expert_episode(4, first=100))
@@ -180,22 +169,18 @@ def test_expert_rows_are_never_overwritten(sampler):
     for _ in range(100):
         player.step(p_terminate=0.4)
         samples = buffer.sample(200)
-        is_expert = samples.is_expert.numpy()[:, 0]
+        is_expert = samples.is_expert[:, 0]
         pairs = zip(sampled_ids(samples.observations), sampled_ids(samples.next_observations), strict=True)
-        seen = {pair for pair, flag in zip(pairs, is_expert, strict=True) if flag}
-        assert seen == expert
-        assert (samples.actions[samples.is_expert[:, 0]] == 0.5).all()
-        assert (samples.expert_actions[samples.is_expert[:, 0]] == 0.5).all()
-        assert samples.expert_actions[~samples.is_expert[:, 0]].isnan().all()
-        assert (sampled_ids(samples.observations)[~is_expert] >= 1000).all()
+        assert {pair for pair, flag in zip(pairs, is_expert, strict=True) if flag} == expert
+        assert (samples.actions[is_expert] == 0.5).all() and (samples.expert_actions[is_expert] == 0.5).all()
+        assert samples.expert_actions[~is_expert].isnan().all()
     assert buffer.expert_size == 7
 
 
-def test_add_episode_rejects_small_buffer_and_online_steps():
+def test_demonstrations_fit_the_buffer_and_come_first():
     buffer = make_buffer(size=20)
-    with pytest.raises(ValueError, match="buffer_size must be at least 24 for the demonstrations, got 20"):
+    with pytest.raises(ValueError, match=r"buffer_size .* 24 .* got 20"):
         buffer.add_episode(*expert_episode(20))
-    buffer = make_buffer(size=20)
     Player(buffer).step()
     with pytest.raises(ValueError, match="before the first online"):
         buffer.add_episode(*expert_episode(4))
@@ -219,37 +204,6 @@ def test_pickles_have_used_rows_only_and_give_equal_samples():
     assert copy.sample(50).is_expert.any()
 
 
-def test_reset_removes_all_steps():
-    buffer = make_buffer()
-    buffer.add_episode(*expert_episode(4))
-    Player(buffer).step()
-    buffer.reset()
-    assert buffer.size() == 0
-    with pytest.raises(ValueError, match="at least one step, got 0"):
-        buffer.sample(1)
-    buffer.add_episode(*expert_episode(2))
-    assert set(sampled_ids(buffer.sample(20).observations)) == {100, 101}
-
-
-@pytest.mark.parametrize(
-    ("kwargs", "named"),
-    [
-        ({"n_steps": 0}, "n_steps"),
-        ({"n_steps": 3}, "gamma"),
-        ({"optimize_memory_usage": True}, "optimize_memory_usage"),
-        ({"sampler": {"shares": {"expert_fraction": 1.5}}}, "expert_fraction .* got 1.5"),
-        ({"sampler": "best"}, "sampler .*uniform, shares, prioritized, .* got 'best'"),
-        ({"image_dtype": "float32"}, "dtype"),
-        ({"size": 1}, "buffer_size"),
-        ({"space": spaces.Discrete(3)}, "Box"),
-        ({"space": spaces.Dict({"a": spaces.Discrete(3)})}, "Box"),
-    ],
-)
-def test_invalid_arguments_are_rejected(kwargs, named):
-    with pytest.raises(ValueError, match=named):
-        make_buffer(**kwargs)
-
-
 def test_vec_normalize(make_toy):
     env = VecNormalize(make_toy(), norm_obs_keys=["heightmap"])
     model = SAC("MultiInputPolicy", env, learning_starts=10, replay_buffer_class=ExpertReplayBuffer, seed=0)
@@ -265,54 +219,118 @@ def test_vec_normalize(make_toy):
     np.testing.assert_allclose(b.rewards, env.normalize_reward(a.rewards.numpy()), rtol=1e-6)
 
 
-BOUNDS = [(0, 0.4), (-1, 1), (0.1, 0.35), (-3, 100)]
-
-
-def box(low, high) -> spaces.Box:
-    return spaces.Box(low, high, (1, 4, 4), np.float32)
-
-
 @pytest.mark.parametrize("dtype", ["uint8", "uint16"])
-@pytest.mark.parametrize("low, high", BOUNDS)
+@pytest.mark.parametrize("low, high", [(0, 0.4), (-1, 1), (0.1, 0.35), (-3, 100)])
 def test_tensors_and_arrays_are_rounded_to_the_nearest_level(low, high, dtype):
-    quantiser = Quantiser(box(low, high), dtype)
+    quantiser = Quantiser(spaces.Box(low, high, (1, 4, 4), np.float32), dtype)
     levels = np.arange(quantiser.levels + 1).astype(dtype)
     exact = quantiser.decode(levels)
     assert exact.dtype == np.float32 and quantiser.encode(exact).dtype == np.dtype(dtype)
     np.testing.assert_array_equal(quantiser.encode(exact), levels)
     assert exact[0] == np.float32(low) and exact[-1] == pytest.approx(high, rel=1e-6)
-    margin = 0.1 * (high - low)
+    margin, unit = 0.1 * (high - low), (high - low) / quantiser.levels
     values = np.random.default_rng(0).uniform(low - margin, high + margin, 10_000).astype(np.float32)
     stored = quantiser.decode(quantiser.encode(values))
-    tensor = th.from_numpy(values.copy()).requires_grad_()
-    rounded = quantiser.round_trip(tensor)
-    np.testing.assert_array_equal(rounded.numpy(), stored)
-    np.testing.assert_array_equal(tensor.detach(), values)
+    np.testing.assert_allclose(stored, np.clip(values, low, high), atol=0.51 * unit)
+    np.testing.assert_array_equal(quantiser.round_trip(th.from_numpy(values)), stored)
     seen, trained = (quantiser.normalise(th.from_numpy(x)) for x in (values, stored))
     assert th.equal(seen, trained) and seen.min() == 0 and seen.max() == 1
-    np.testing.assert_allclose(
-        stored, np.clip(values, low, high), atol=0.51 * (high - low) / quantiser.levels
-    )
     np.testing.assert_allclose(seen, (stored - low) / (high - low), atol=1e-5)
 
 
-def test_each_entry_may_have_its_own_bounds():
-    quantiser = Quantiser(spaces.Box(np.float32([[0, -1]]), np.float32([[1, 3]]), dtype=np.float32))
-    levels, values = np.uint8([[[255, 0]], [[0, 255]]]), np.float32([[[1, -1]], [[0, 3]]])
-    np.testing.assert_array_equal(quantiser.decode(levels), values)
-    np.testing.assert_array_equal(quantiser.encode(values), levels)
-    np.testing.assert_array_equal(quantiser.round_trip(th.from_numpy(values)), values)
+BATCH = 16
 
 
-@pytest.mark.parametrize(
-    "space, dtype, named",
-    [
-        (box(0, np.inf), "uint8", "finite"),
-        (box(1, 1), "uint8", "low < high"),
-        (box(0, 1), "int8", "dtype"),
-        (box(1000, 1000.01), "uint16", "too narrow"),
-    ],
-)
-def test_quantiser_rejects_unusable_bounds(space, dtype, named):
-    with pytest.raises(ValueError, match=named):
-        Quantiser(space, dtype)
+def make_numbered_buffer(n_expert: int, size: int = 400, **kwargs) -> ExpertReplayBuffer:
+    """Return a buffer with expert episodes of one step, numbered from 0 by their observations."""
+    space = spaces.Box(-np.inf, np.inf, (1,), np.float32)
+    arguments = {"device": "cpu", "seed": 0, **kwargs}
+    buffer = ExpertReplayBuffer(size, space, spaces.Box(-1, 1, (1,)), **arguments)
+    for number in range(n_expert):
+        observations = {"observation": np.full((2, 1), number)}
+        buffer.add_episode(observations, np.zeros((1, 1)), np.ones(1), np.ones(1, bool))
+    return buffer
+
+
+def play(buffer: ExpertReplayBuffer, n_steps: int = 1, success: bool = False):
+    """Add online episodes of one step."""
+    for _ in range(n_steps):
+        obs = np.full((1, 1), 1000 + buffer.size(), np.float32)
+        info = {"is_success": success}
+        buffer.add(obs, obs, np.zeros((1, 1)), np.full(1, float(success)), np.ones(1, bool), [info])
+
+
+@pytest.mark.parametrize(("options", "first"), [({"balanced_from": 8}, 8), ({}, 1)])
+def test_shares_apply_from_balanced_from_steps(options, first):
+    """By default from the first online step."""
+    divided = make_numbered_buffer(20, sampler={"shares": {"expert_fraction": 0.5, **options}})
+    uniform = make_numbered_buffer(20)
+    for online in range(1, 30):
+        for buffer in (divided, uniform):
+            play(buffer)
+            buffer.seed(5)
+        samples, others = divided.sample(BATCH), uniform.sample(BATCH)
+        assert np.array_equal(samples.indices, others.indices) == (online < first)
+        assert online < first or samples.is_expert.sum() == BATCH // 2
+
+
+@pytest.mark.parametrize("successes, share", [(0, 0.0), (2, 0.05), (8, 0.2), (20, 0.4), (40, 0.4)])
+def test_successes_are_sampled_at_most_as_often_as_expert_steps(successes, share):
+    """Weights correct their share: the weighted mean over online steps is the mean over all online steps."""
+    sampler = {"shares": {"expert_fraction": 0.5, "success_fraction": 0.4}}
+    buffer = make_numbered_buffer(20, sampler=sampler)
+    play(buffer, successes, success=True)
+    play(buffer, 80 - successes)
+    samples = buffer.sample(20_000)
+    online = ~samples.is_expert
+    among_all = (1.0 - 0.5 - share) * successes / 80
+    assert samples.is_expert.float().mean().item() == 0.5
+    assert (samples.succeeded & online).float().mean().item() == pytest.approx(share + among_all, abs=0.01)
+    assert (samples.weights[samples.is_expert] == 1).all()
+    weights = samples.weights[online]
+    total = (weights * samples.succeeded[online]).sum().item() / weights.sum().item()
+    assert total == pytest.approx(successes / 80, rel=0.08)
+    assert weights.mean().item() == pytest.approx(1.0, rel=0.03)
+
+
+@pytest.fixture(params=[0.0, 0.6])
+def buffer(request) -> ExpertReplayBuffer:
+    """Buffer of a prioritized sampler with four expert steps and six online steps."""
+    made = make_numbered_buffer(4, sampler={"prioritized": {"exponent": request.param}})
+    play(made, 6)
+    return made
+
+
+def valid_rows(buffer: ExpertReplayBuffer) -> np.ndarray:
+    return np.flatnonzero(buffer.table.columns["valid"])
+
+
+@pytest.mark.parametrize(("progress_remaining", "beta"), [(1.0, 0.4), (0.25, 0.85), (0.0, 1.0)])
+def test_probabilities_and_weights_follow_the_priorities(progress_remaining, beta, buffer):
+    rows, errors = valid_rows(buffer), np.linspace(-2, 3, 10)
+    buffer.update_priorities(rows, th.as_tensor(abs(errors))[:, None])
+    priorities = np.abs(errors) + MIN_PRIORITY
+    priorities[:4] += 1
+    probabilities = priorities**buffer.sampler.exponent
+    probabilities /= probabilities.sum()
+    buffer.sampler.progress_remaining = progress_remaining
+    samples = buffer.sample(100_000)
+    counts = np.bincount(samples.indices, minlength=rows[-1] + 1)
+    np.testing.assert_allclose(counts[rows] / 100_000, probabilities, atol=1e-4)
+    assert counts.sum() == counts[rows].sum()
+    weights = (10 * probabilities) ** -beta
+    expected = (weights / weights.max())[np.searchsorted(rows, samples.indices)]
+    np.testing.assert_allclose(samples.weights.numpy()[:, 0], expected, rtol=1e-5)
+
+
+def test_a_new_step_gets_the_maximum_of_the_present_priorities(buffer):
+    rows = valid_rows(buffer)
+    np.testing.assert_array_equal(buffer.sampler.masses[rows], 1.0)
+    buffer.update_priorities(rows[-1:], th.tensor([[5.0]]))
+    buffer.update_priorities(rows, th.full((10, 1), 0.2))
+    play(buffer)
+    new = valid_rows(buffer)[-1:]  # expert steps have a bonus
+    np.testing.assert_allclose(buffer.sampler.masses[new], (1.2 + MIN_PRIORITY) ** buffer.sampler.exponent)
+    buffer.reset()
+    with pytest.raises(ValueError, match="at least one step, got 0"):
+        buffer.sample(1)

@@ -28,7 +28,6 @@ CASES = [
 ]
 Case = tuple[str, str]
 MakeModel = Callable[..., SpatialDQN]
-MakeKwargs = Callable[..., dict[str, Any]]
 MakePolicy = Callable[..., SpatialPolicy]
 
 
@@ -39,20 +38,15 @@ def case(request: pytest.FixtureRequest) -> Case:
     return request.param
 
 
-@pytest.fixture
-def make_policy_kwargs() -> MakeKwargs:
-    """Arguments of a small policy, by its name and the action sequence: ``make_policy_kwargs(*case)``."""
-
-    def make(policy: str, sequence: str = "pxyr", **kwargs: Any) -> dict[str, Any]:
-        grid = {"num_rotations": 4, "num_heights": 4, "num_tilts": 3}
-        own = {"action_sequence": sequence, "codec_kwargs": grid, "network_kwargs": NETWORKS[policy]}
-        return {**own, "standardise": (0.0, 0.03), **kwargs}
-
-    return make
+def small_kwargs(name: str, sequence: str, kwargs: dict[str, Any] | None) -> dict[str, Any]:
+    """Return the arguments of a small policy."""
+    grid = {"num_rotations": 4, "num_heights": 4, "num_tilts": 3}
+    own = {"action_sequence": sequence, "codec_kwargs": grid, "network_kwargs": NETWORKS[name]}
+    return {**own, "standardise": (0.0, 0.03), **(kwargs or {})}
 
 
 @pytest.fixture
-def make_policy(make_picking: Callable[..., VecEnv], make_policy_kwargs: MakeKwargs) -> MakePolicy:
+def make_policy(make_picking: Callable[..., VecEnv]) -> MakePolicy:
     """Makes a policy: ``make_policy(name, sequence, env, network_kwargs, **kwargs)``."""
 
     def make(
@@ -64,10 +58,10 @@ def make_policy(make_picking: Callable[..., VecEnv], make_policy_kwargs: MakeKwa
     ) -> SpatialPolicy:
         th.manual_seed(0)
         env = make_picking(action_sequence=sequence) if env is None else env
-        arguments = make_policy_kwargs(name, sequence)
-        arguments["network_kwargs"] = {**arguments["network_kwargs"], **(network_kwargs or {})}
-        arguments |= {"observation_space": env.observation_space, "action_space": env.action_space}
-        policy = SpatialDQN.policy_aliases[name](lr_schedule=lambda _: 1e-3, **{**arguments, **kwargs})
+        spaces = {"observation_space": env.observation_space, "action_space": env.action_space}
+        networks = {"network_kwargs": {**NETWORKS[name], **(network_kwargs or {})}}
+        arguments = small_kwargs(name, sequence, {**spaces, **networks, **kwargs})
+        policy = SpatialDQN.policy_aliases[name](lr_schedule=lambda _: 1e-3, **arguments)
         assert isinstance(policy, SpatialPolicy)
         return policy
 
@@ -92,7 +86,7 @@ def scenes(case: Case) -> dict[str, th.Tensor]:
 
 
 @pytest.fixture
-def make_model(make_picking: Callable[..., VecEnv], make_policy_kwargs: MakeKwargs) -> MakeModel:
+def make_model(make_picking: Callable[..., VecEnv]) -> MakeModel:
     """Makes an algorithm: ``make_model(case, algorithm, env, policy_kwargs, **kwargs)``."""
 
     def make(
@@ -105,7 +99,7 @@ def make_model(make_picking: Callable[..., VecEnv], make_policy_kwargs: MakeKwar
         policy, sequence = case
         kwargs = {"expert_episodes": 3, "batch_size": 4, "buffer_size": 200, "seed": 0, **kwargs}
         env = make_picking(action_sequence=sequence, size=24) if env is None else env
-        kwargs["policy_kwargs"] = make_policy_kwargs(policy, sequence, **(policy_kwargs or {}))
+        kwargs["policy_kwargs"] = small_kwargs(policy, sequence, policy_kwargs)
         return algorithm(policy, env, device="cpu", **kwargs)
 
     return make
