@@ -103,6 +103,7 @@ UNBOUNDED = box(1, 8, 8, high=np.inf)
         (lambda: buffer(optimize_memory_usage=True), "optimize_memory_usage True"),
         (lambda: buffer(sampler={"shares": {"expert_fraction": 1.5}}), "expert_fraction 1.5"),
         (lambda: buffer(sampler="best"), "sampler uniform, shares, prioritized, 'best'"),
+        (lambda: buffer(sampler={"uniform": {}, "shares": {}}), "sampler must be one"),
         (lambda: buffer(image_dtype="float32"), "dtype 'float32'"),
         (lambda: buffer(size=1), "buffer_size 1"),
         (lambda: buffer(space=spaces.Discrete(3)), "Box Discrete"),

@@ -63,7 +63,7 @@ def assert_equal_trees(first, second):
         (2, {"action_noise": NormalActionNoise(np.zeros(5), np.full(5, 0.1)), "augmentation": "drq"}),
         (2, {"replay_buffer_kwargs": {"sampler": "prioritized"}, "augmentation": "rotation", "n_steps": 2}),
         (1, {"learner": TQCfD, "policy": "EquivariantPolicy"}),
-        (2, {"learner": FERM, "augmentation": {"rad": {"size": 12}}}),
+        (2, {"learner": FERM, "augmentation": {"rotation": {}, "rad": {"size": 12}}}),
         (
             2,
             {

@@ -10,8 +10,10 @@ from torch import nn
 
 from sb3_extensions.common.action_sequence import ActionSequence
 from sb3_extensions.encoders.extractors import CnnExtractor
+from sb3_extensions.ferm import FERM
 from sb3_extensions.sacfd import SACfD
 from sb3_extensions.sacfd.policies import EquivariantPolicy, MultiInputPolicy
+from sb3_extensions.tqcfd import TQCfD
 from sb3_extensions.tqcfd.policies import EquivariantPolicy as EquivariantTQCPolicy
 
 EXACT = 2e-6
@@ -128,11 +130,14 @@ def test_cnn_policy_is_the_papers():
 @pytest.mark.parametrize(
     ("policy_class", "extractor"), [(MultiInputPolicy, {"channels": [4, 4, 4]}), (EquivariantPolicy, SMALL)]
 )
-def test_outputs_of_a_normalised_actor_do_not_grow_with_its_features(policy_class, extractor):
+def test_outputs_of_normalised_networks_do_not_grow_with_their_features(policy_class, extractor):
     options = {"net_arch": {"pi": [8], "qf": [8]}, "normalise": True}
     policy = make_policy(policy_class=policy_class, extractor=extractor, **options)
     features = th.rand(8, policy.actor.features_extractor.features_dim)
     small, large = (policy.actor.mu(policy.actor.latent_pi(scale * features)) for scale in (1.0, 1e3))
+    assert large.abs().max() < 2.0 * small.abs().max()
+    joint = th.cat([features, th.zeros(8, 5)], dim=1)
+    small, large = (policy.critic.q_networks[0](scale * joint) for scale in (1.0, 1e3))
     assert large.abs().max() < 2.0 * small.abs().max()
 
 
@@ -182,11 +187,14 @@ def test_first_updates_count_alike_then_the_latest_most(make_learner):
     np.testing.assert_allclose(weights(model.policy.actor_average.module), expected, atol=1e-5)
 
 
-@pytest.mark.parametrize("policy", ["MultiInputPolicy", "EquivariantPolicy"])
-def test_average_acts_where_actions_are_not_sampled(policy, make_toy, make_learner, tmp_path):
+@pytest.mark.parametrize(
+    ("learner", "policy"),
+    [(SACfD, "MultiInputPolicy"), (TQCfD, "EquivariantPolicy"), (FERM, "MultiInputPolicy")],
+)
+def test_average_acts_where_actions_are_not_sampled(learner, policy, make_toy, make_learner, tmp_path):
     """The average is saved and not trained, and learning is the same with it."""
-    model = make_learner(make_toy(2), policy=policy, policy_kwargs={"actor_tau": 0.25}).learn(20)
-    without = make_learner(make_toy(2), policy=policy).learn(20)
+    model = make_learner(make_toy(2), learner, policy, policy_kwargs={"actor_tau": 0.25}).learn(20)
+    without = make_learner(make_toy(2), learner, policy).learn(20)
     for name in ("actor", "critic"):
         np.testing.assert_array_equal(weights(getattr(model, name)), weights(getattr(without, name)))
     model.policy.set_training_mode(False)
@@ -205,6 +213,6 @@ def test_average_acts_where_actions_are_not_sampled(policy, make_toy, make_learn
     expected, _ = model.predict(observation, deterministic=True)
     model.save(tmp_path / "model")
     model.policy.save(tmp_path / "policy")
-    loaded = SACfD.load(tmp_path / "model", device="cpu"), type(model.policy).load(tmp_path / "policy")
-    for other in loaded:
+    for kind, name in ((learner, "model"), (type(model.policy), "policy")):
+        other = kind.load(tmp_path / name, device="cpu")
         np.testing.assert_array_equal(other.predict(observation, deterministic=True)[0], expected)
