@@ -1,5 +1,6 @@
 """The contract of every environment id, and the interface of environments, from make() to close()."""
 
+import dataclasses
 import gc
 import json
 import math
@@ -127,20 +128,23 @@ def test_success_at_the_time_limit_terminates(make: Make, name: str) -> None:
 
 def test_free_object_outside_the_workspace_ends_the_episode(typical_env: ManipulationEnv) -> None:
     env = typical_env
-    (_, high), centre, side = env.config.workspace[0], env.config.centre, env.config.workspace_size
-    outside = [(-0.7, 0.0, 0.025), (0.0, 0.8, 0.025), (0.0, -0.504, 0.025), (0.0, 0.0, -0.2)]
+    (_, high), (x, y), side = env.config.workspace[0], env.config.centre, env.config.workspace_size
     env.reset(seed=0)
-    state, role = env.get_state(), next(item.slot.name for item in env.scene if item.spec.mass > 0.0)
-    for x, y, z in outside:
-        env.set_state(state)
-        env.scene[role].place(Pose((centre[0] + x * side, centre[1] + y * side, z)))
+    state, item = env.get_state(), next(item for item in env.scene if item.spec.mass > 0.0)
+
+    def step_from(*position: float) -> Any:
+        poses = list(state.world.poses)
+        poses[item.body.index] = Pose(position)
+        world = dataclasses.replace(state.world, poses=tuple(poses))
+        env.set_state(dataclasses.replace(state, world=world))
         assert env.expert_action() in env.action_space
-        _, reward, terminated, truncated, info = env.step(idle(env))
+        return env.step(idle(env))
+
+    for dx, dy, z in [(-0.7, 0.0, 0.025), (0.0, 0.8, 0.025), (0.0, -0.504, 0.025), (0.0, 0.0, -0.2)]:
+        _, reward, terminated, truncated, info = step_from(x + dx * side, y + dy * side, z)
         assert (reward, terminated, truncated) == (0.0, True, False)
         assert info["is_valid"] is False and info["is_success"] is False
-    env.set_state(state)
-    env.scene[role].place(Pose((high - 1e-4, 0.1, 0.025)))
-    assert env.step(idle(env))[4]["is_valid"], "the border belongs to the workspace"
+    assert step_from(high - 1e-4, 0.1, 0.025)[4]["is_valid"], "the border belongs to the workspace"
 
 
 @pytest.mark.parametrize(("check", "valid"), [("point", True), ("bounding_box", False)])

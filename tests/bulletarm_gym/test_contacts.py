@@ -1,7 +1,7 @@
 """Contacts: a body falls if nothing supports it, and fingers stop at bodies that they touch."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Any
 
@@ -34,13 +34,13 @@ class Arranged(Task):
     defaults = TaskDefaults(num_objects=3, allowed_objects=(3,), close_loop={"max_steps": 100})
     controls = (CLOSE_LOOP, OPEN_LOOP)
     site = (3.0 * SIDE, 3.0 * SIDE)
-    layout: dict[int, Pose]
+    layout: dict[int, Pose] | None = None
 
     def bodies(self, config: Any) -> list[ObjectSlot]:
         return [scaled(config, f"cube {number}", cube) for number in range(3)]
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
-        for number, pose in self.layout.items():
+        for number, pose in (self.layout or {}).items():
             scene[f"cube {number}"].place(Pose((*self.config.centre, scene.surface.level)).compose(pose))
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
@@ -65,26 +65,15 @@ UNSTABLE: dict[str, dict[int, Pose]] = {
     "off balance": {0: above(HALF), 1: above(HALF + SIDE, HALF + 0.0003)},
     "tipping its support": {0: above(HALF), 1: above(HALF + SIDE, 0.02), 2: above(HALF + 2.0 * SIDE, 0.04)},
 }
-Get = Callable[..., ManipulationEnv]
 
 
-@pytest.fixture(scope="module")
-def arranged() -> Iterator[Get]:
-    """Return shared environments whose cubes are laid out by the test."""
-    made: dict[Any, ManipulationEnv] = {}
-
-    def get(kind: Any, layout: dict[int, Pose], fast: bool = True, number: int = 0) -> ManipulationEnv:
-        key = (kind, fast, number)
-        if key not in made:
-            Arranged.layout = STACK
-            parameters = {"obs_size": 32, "object_scale_range": 1.0, "fast_mode": fast}
-            made[key] = ManipulationEnv("test_contacts:Arranged", *kind, **parameters)
-        made[key].task.layout = layout
-        return made[key]
-
-    yield get
-    for env in made.values():
-        env.close()
+def arranged(make: Make, kind: Any, layout: dict[int, Pose], fast: bool) -> ManipulationEnv:
+    """Return a shared environment of a control and a surface, whose cubes are laid out."""
+    task, (control, surface) = f"{__name__}:Arranged", kind
+    parameters = {"obs_size": 32, "object_scale_range": 1.0, "fast_mode": fast}
+    env = make(PICKING, task=task, control=control, surface=surface, **parameters)
+    env.task.layout = layout
+    return env
 
 
 def positions(env: ManipulationEnv) -> np.ndarray:
@@ -110,10 +99,10 @@ def assert_supported(env: ManipulationEnv) -> None:
     ("kind", "name"),
     [(kind, name) for kind in KINDS for name in UNSTABLE if "tipping" not in name or "flat" in kind],
 )
-def test_unstable_cubes_come_to_rest_before_success_is_evaluated(arranged: Get, kind: Any, name: str) -> None:
+def test_unstable_cubes_come_to_rest_before_success_is_evaluated(make: Make, kind: Any, name: str) -> None:
     ends = []
     for fast in (True, False):
-        env = arranged(kind, UNSTABLE[name], fast)
+        env = arranged(make, kind, UNSTABLE[name], fast)
         _, info = env.reset(seed=0)
         ends.append(positions(env))
         assert len(ends[-1]) == 1 or not info["is_success"]
@@ -123,9 +112,9 @@ def test_unstable_cubes_come_to_rest_before_success_is_evaluated(arranged: Get, 
 
 
 @pytest.mark.parametrize("kind", KINDS, ids="-".join)
-def test_stack_falls_without_its_lowest_cube(arranged: Get, kind: Any) -> None:
+def test_stack_falls_without_its_lowest_cube(make: Make, kind: Any) -> None:
     for fast in (True, False):
-        env = arranged(kind, STACK, fast)
+        env = arranged(make, kind, STACK, fast)
         _, info = env.reset(seed=0)
         assert info["is_success"] and info["is_at_rest"]
         (x, *yz), orientation = env.scene["cube 0"].pose

@@ -1,4 +1,4 @@
-"""The rasterizer of heightmaps, poses and footprints, compared with formulas, SciPy and a ray caster."""
+"""The rasterizer of heightmaps and rotations, compared with formulas, SciPy and a ray caster."""
 
 import itertools
 import math
@@ -9,12 +9,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from bulletarm_gym.geometry import (
-    Footprint,
     Mesh,
     Pose,
     as_rotvec,
     euler_angles,
-    euler_pose,
     from_rotvec,
     join,
     matrix,
@@ -23,7 +21,6 @@ from bulletarm_gym.geometry import (
     rotate,
     wrap_angle,
 )
-from bulletarm_gym.geometry.footprint import DIRECTIONS
 from bulletarm_gym.observations.rasterizer import Window, ZBuffer
 
 EXTENT, SIZE = 0.45, 128
@@ -167,7 +164,7 @@ def test_agrees_with_a_ray_caster(seed: int) -> None:
     assert np.median(error[expected > 0]) < 2e-7
 
 
-# Poses and footprints
+# Poses
 
 
 def random_poses(count: int) -> list[Pose]:
@@ -208,22 +205,3 @@ def test_wrap_angle(period: float) -> None:
         wrapped = wrap_angle(angle, period)
         assert -period / 2 <= wrapped < period / 2
         assert math.remainder(wrapped - angle, period) == pytest.approx(0.0, abs=1e-9)
-
-
-@pytest.mark.parametrize("count", [4, 12, 50])
-def test_footprints_agree_with_numpy(count: int) -> None:
-    rng = np.random.default_rng(count)
-    x, y, z, *angles = rng.uniform(-0.5, 0.5, 6).tolist()
-    pose, vertices = euler_pose((x, y, z), tuple(angles)), rng.uniform(-0.1, 0.1, (count, 3))
-    footprint = Footprint.of(vertices, pose)
-    expected = vertices @ matrix(pose)[:2].T + pose.position[:2]
-    assert footprint.points == pytest.approx(expected, abs=1e-15)
-    turns = 2.0 * math.pi * np.arange(DIRECTIONS) / DIRECTIONS
-    along = expected @ np.stack([np.cos(turns), np.sin(turns)])
-    assert footprint.reach == pytest.approx(along.max(axis=0), abs=1e-15)
-    low, high = expected.min(axis=0), expected.max(axis=0)
-    assert footprint.centre == pytest.approx((low + high) / 2.0)
-    assert footprint.mean == pytest.approx(expected.mean(axis=0))
-    border = np.stack([low, high], axis=1)
-    assert footprint.is_inside(border) and not footprint.is_inside(border, 1e-6)
-    assert footprint.is_inside(border + np.array([-0.01, 0.01]), 0.009)
