@@ -1,9 +1,6 @@
-"""Fixtures of the environments' tests: ids, instances that last the whole session, another process."""
+"""Fixtures of the environments' tests: ids, and instances that last the whole session."""
 
 import json
-import os
-import pickle
-import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -26,12 +23,6 @@ from bulletarm_gym.env import ManipulationEnv  # noqa: E402
 @pytest.fixture(scope="session", params=bulletarm_gym.ENV_IDS, ids=lambda env_id: env_id.split("/")[1])
 def env_id(request: pytest.FixtureRequest) -> str:
     """Every registered id in turn."""
-    return str(request.param)
-
-
-@pytest.fixture(scope="session", params=bulletarm_gym.PAPER_IDS, ids=lambda env_id: env_id.split("/")[1])
-def paper_id(request: pytest.FixtureRequest) -> str:
-    """Every id of the paper."""
     return str(request.param)
 
 
@@ -60,12 +51,6 @@ def make() -> Iterator[Callable[..., ManipulationEnv]]:
 
 
 @pytest.fixture
-def env(make: Callable[..., ManipulationEnv], env_id: str) -> ManipulationEnv:
-    """The shared instance of each id with its default parameters."""
-    return make(env_id)
-
-
-@pytest.fixture
 def typical_env(make: Callable[..., ManipulationEnv], typical_id: str) -> ManipulationEnv:
     """The shared instance of an id of each kind."""
     return make(typical_id)
@@ -75,21 +60,3 @@ def typical_env(make: Callable[..., ManipulationEnv], typical_id: str) -> Manipu
 def picking(make: Callable[..., ManipulationEnv]) -> ManipulationEnv:
     """The shared instance of the picking task."""
     return make("BulletArm/CloseLoopBlockPicking-v0")
-
-
-@pytest.fixture(scope="session")
-def in_another_process() -> Callable[[dict[str, Any]], dict[str, list[str]]]:
-    """Return the rollouts of another process, see the module of rollouts."""
-
-    def ask(requests: dict[str, Any]) -> dict[str, list[str]]:
-        command = [sys.executable, str(HERE / "rollouts.py")]
-        path = os.pathsep.join([str(HERE.parent.parent), os.environ.get("PYTHONPATH", "")])
-        environment = {**os.environ, "PYTHONPATH": path, "PYTHONHASHSEED": "7"}
-        child = subprocess.run(
-            command, input=pickle.dumps(requests), capture_output=True, check=False, env=environment
-        )
-        assert child.returncode == 0, child.stderr.decode()
-        answers: dict[str, list[str]] = json.loads(child.stdout[child.stdout.index(b"{") :])
-        return answers
-
-    return ask

@@ -1,14 +1,8 @@
-"""Rollouts reduced to short digests, for exact comparison between instances, processes and versions.
-
-As a script it reads pickled requests, ``{name: (env_id, parameters, state or None)}``, from its input and
-prints the digests of their rollouts, as JSON.
-"""
+"""Rollouts reduced to short digests, for exact comparison between instances, processes and versions."""
 
 import dataclasses
 import hashlib
-import json
-import pickle
-import sys
+import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -19,6 +13,10 @@ import bulletarm_gym
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.scene.state import EnvState
 
+Make = Callable[..., ManipulationEnv]
+"""Type of the fixture ``make``."""
+
+PICKING = "BulletArm/CloseLoopBlockPicking-v0"
 EXPERT_SHARE = 0.7
 """Share of expert actions among random ones, with which grasps, pushes and successes happen."""
 TYPICAL = (
@@ -26,7 +24,7 @@ TYPICAL = (
     "BulletArm/OpenLoopCovidTest-v0",
     "BulletArm/OpenLoopRampBlockStacking-v0",
     "BulletArm/OpenLoopBumpBoxPalletizing-v0",
-    "BulletArm/CloseLoopBlockPicking-v0",
+    PICKING,
     "BulletArm/CloseLoopObjectGrasping-v0",
 )
 """An id of each kind."""
@@ -60,6 +58,16 @@ def is_sloping(env_id: str) -> bool:
 def idle(env: ManipulationEnv) -> np.ndarray:
     """Return an action that does nothing at the start of an episode."""
     return np.zeros(env.action_space.shape, np.float32)
+
+
+def finish(env: Any) -> tuple[bool, int]:
+    """Act by the expert to the end of the episode; return whether it succeeded, and its number of steps."""
+    expert = env.get_wrapper_attr("expert_action")
+    for step in itertools.count(1):
+        *_, terminated, truncated, info = env.step(expert())
+        if terminated or truncated:
+            return bool(info["is_success"]), step
+    raise AssertionError
 
 
 def digest(*parts: Any) -> str:
@@ -128,7 +136,7 @@ def step_on(env: ManipulationEnv, action: Any) -> Any:
 
 
 def answer(requests: dict[str, tuple[str, dict[str, Any], EnvState | None]]) -> dict[str, list[str]]:
-    """Return the rollouts from states, or from seeded resets."""
+    """Return the rollouts of ``{name: (env_id, parameters, state or None)}``, without a state of seed 0."""
     answers = {}
     for name, (env_id, parameters, state) in requests.items():
         env = make_env(env_id, **parameters)
@@ -137,7 +145,3 @@ def answer(requests: dict[str, tuple[str, dict[str, Any], EnvState | None]]) -> 
         answers[name] = transcript(env, seed=0 if state is None else None)
         env.close()
     return answers
-
-
-if __name__ == "__main__":
-    json.dump(answer(pickle.load(sys.stdin.buffer)), sys.stdout)

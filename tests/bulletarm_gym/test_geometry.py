@@ -1,19 +1,18 @@
-"""Poses and meshes compared with SciPy and formulas, and footprints with NumPy."""
+"""The rasterizer of heightmaps and rotations, compared with formulas, SciPy and a ray caster."""
 
 import itertools
 import math
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from bulletarm_gym.geometry import (
-    Footprint,
     Mesh,
     Pose,
     as_rotvec,
     euler_angles,
-    euler_pose,
     from_rotvec,
     join,
     matrix,
@@ -22,17 +21,156 @@ from bulletarm_gym.geometry import (
     rotate,
     wrap_angle,
 )
-from bulletarm_gym.geometry.footprint import DIRECTIONS
+from bulletarm_gym.observations.rasterizer import Window, ZBuffer
+
+EXTENT, SIZE = 0.45, 128
+RESOLUTION = EXTENT / SIZE
+CENTRE = (0.45, 0.0)
+QUARTER_TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+
+
+def draw(
+    meshes: list[Mesh], positions: Any, rotations: Any = None, visible: Any = None, window: Any = ()
+) -> np.ndarray:
+    count, (centre, extent, size) = len(meshes), window or (CENTRE, EXTENT, SIZE)
+    rotations = np.tile(np.eye(3), (count, 1, 1)) if rotations is None else np.ascontiguousarray(rotations)
+    visible = np.ones(count, bool) if visible is None else np.asarray(visible)
+    positions = np.asarray(positions, float).reshape(count, 3)
+    return ZBuffer(meshes).draw(positions, rotations.reshape(-1, 3, 3), visible, Window(centre, extent, size))
+
+
+def pixel_centres(size: int = SIZE) -> Any:
+    steps = (np.arange(size) + 0.5) * (EXTENT / size) - EXTENT / 2
+    return np.meshgrid(CENTRE[0] + steps, CENTRE[1] + steps, indexing="ij")
+
+
+def bowl(sides: int = 24) -> Mesh:
+    """Return a body that is not convex: a flat-bottomed ring with a sloping inside."""
+    profile = [(0.02, -0.02), (0.05, -0.02), (0.06, 0.03), (0.052, 0.03), (0.03, -0.01)]
+    angles = 2 * np.pi * np.arange(sides) / sides
+    vertices = [(r * math.cos(angle), r * math.sin(angle), z) for angle in angles for r, z in profile]
+    count, faces = len(profile), []
+    for side in range(sides):
+        for k in range(count):
+            a, b = (side * count + step % count for step in (k, k + 1))
+            c, d = ((side + 1) % sides * count + step % count for step in (k, k + 1))
+            faces += [(a, c, b), (b, c, d)]
+    return Mesh.of(vertices, faces)
+
+
+def pyramid(half: float, apex: float) -> Mesh:
+    base = [(-half, -half, 0), (half, -half, 0), (half, half, 0), (-half, half, 0), (0, 0, apex)]
+    return Mesh.of(base, [(0, 1, 4), (1, 2, 4), (2, 3, 4), (3, 0, 4), (0, 2, 1), (0, 3, 2)])
+
+
+def clutter(seed: int) -> tuple[list[Mesh], np.ndarray, np.ndarray]:
+    """Return convex and hollow bodies at random poses in each other."""
+    rng = np.random.default_rng(seed)
+    handle = join([Mesh.box((0.08, 0.03, 0.03)), Mesh.box((0.03, 0.03, 0.1), centre=(0.03, 0, 0.02))])
+    meshes = [bowl(), bowl(7), handle, pyramid(0.05, 0.06), Mesh.box((0.03, 0.09, 0.03))]
+    count = len(meshes)
+    positions = np.column_stack([rng.uniform(-0.15, 0.15, (count, 2)), rng.uniform(0.02, 0.06, count)])
+    return meshes, positions + np.array([*CENTRE, 0.0]), Rotation.random(count, rng).as_matrix()
+
+
+@pytest.mark.parametrize("size", [1, 15, 128])
+def test_box(size: int) -> None:
+    """Rows grow with x, columns with y."""
+    image = draw([Mesh.box((0.06, 0.1, 0.04))], (0.47, 0.03, 0.02), window=(CENTRE, EXTENT, size))
+    x, y = pixel_centres(size)
+    inside = (np.abs(x - 0.47) < 0.03) & (np.abs(y - 0.03) < 0.05)
+    assert image.shape == (size, size) and image.dtype == np.float32
+    np.testing.assert_array_equal(image, np.where(inside, np.float32(0.04), 0))
+
+
+def test_highest_part_is_visible_in_any_order() -> None:
+    meshes, positions, rotations = clutter(1)
+    image = draw(meshes, positions, rotations)
+    alone = [draw([m], p, r) for m, p, r in zip(meshes, positions, rotations, strict=True)]
+    np.testing.assert_array_equal(image, np.max(alone, axis=0))
+    np.testing.assert_array_equal(draw(meshes[::-1], positions[::-1], rotations[::-1]), image)
+    some = [True, False, False, True, False]
+    np.testing.assert_array_equal(draw(meshes, positions, rotations, some), np.maximum(alone[0], alone[3]))
+    assert not draw([], np.empty((0, 3))).any()
+
+
+@pytest.mark.parametrize("size", [64, 75])
+@pytest.mark.parametrize("upright", [True, False])
+def test_quarter_turn_of_the_world_is_rot90(size: int, upright: bool) -> None:
+    """(x, y) -> (-y, x) rotates the image by np.rot90 with k = 1, bit for bit."""
+    meshes, positions, rotations = clutter(2)
+    if upright:
+        rotations = Rotation.from_rotvec([(0.0, 0.0, 0.3 * k) for k in range(5)]).as_matrix()
+    image = draw(meshes, positions, rotations, window=(CENTRE, EXTENT, size))
+    centre = np.array([*CENTRE, 0.0])
+    for k in (1, 2, 3):
+        positions, centre = positions @ QUARTER_TURN.T, QUARTER_TURN @ centre
+        rotations = QUARTER_TURN @ rotations
+        again = draw(meshes, positions, rotations, window=(centre[:2], EXTENT, size))
+        np.testing.assert_array_equal(again, np.rot90(image, k=k))
+
+
+def test_edges_through_pixel_centres_belong_to_the_face() -> None:
+    box = Mesh.box((21 * RESOLUTION, 21 * RESOLUTION, 0.1))
+    image = draw([box], (*CENTRE, 0.05))
+    assert np.count_nonzero(image) == 22 * 22
+    np.testing.assert_array_equal(image, draw([box], (*CENTRE, 0.05), QUARTER_TURN))
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.3])
+def test_no_holes_between_triangles(tilt: float) -> None:
+    """A plate of triangles with corners on, next to and between pixel centres hides the floor."""
+    rng, cells = np.random.default_rng(3), 60
+    steps = (np.arange(cells + 1) - cells / 2) * 2 * RESOLUTION
+    x, y = np.meshgrid(steps + RESOLUTION / 2, steps + RESOLUTION / 2, indexing="ij")
+    jitter = rng.choice([0.0, 0.0, 1e-9, 0.3, 0.9], (2, *x.shape)) * RESOLUTION
+    points = np.stack([x + jitter[0], y + jitter[1], np.zeros_like(x)], axis=-1).reshape(-1, 3)
+    corner = (np.arange(cells)[:, None] * (cells + 1) + np.arange(cells)).ravel()
+    across = np.stack([corner, corner + cells + 1, corner + cells + 2], axis=1)
+    along = np.stack([corner, corner + cells + 2, corner + 1], axis=1)
+    plate = Mesh.of(points, np.concatenate([across, along]))
+    image = draw([plate], (*CENTRE, 0.2), Rotation.from_rotvec((0.0, tilt, 0.0)).as_matrix())
+    expected = 0.2 - math.tan(tilt) * (pixel_centres()[0] - CENTRE[0])
+    np.testing.assert_allclose(image[8:-8, 5:-5], expected[8:-8, 5:-5], atol=1e-6)
+
+
+def test_meshes_outside_the_window_or_not_finite_are_not_drawn() -> None:
+    box = Mesh.box((0.1, 0.1, 0.1), centre=(0.3, 0.0, 0.0))
+    assert draw([box], (0.15, 0, 0)).any()
+    outside = ((10, 0, 0), (0.45, -0.4, 0), (-1e30, 1e30, 0))
+    for position in (*outside, (math.nan, 0, 0), (0.1, math.inf, 0), (0.15, 0, math.nan)):
+        assert not draw([box], position).any(), position
+    assert not draw([box], (0.15, 0, 0), np.full((3, 3), math.nan)).any()
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_agrees_with_a_ray_caster(seed: int) -> None:
+    """Embree casts one ray down through every pixel centre, in single precision."""
+    scenes = pytest.importorskip("embreex.rtcore_scene")
+    construction = pytest.importorskip("embreex.mesh_construction")
+    meshes, positions, rotations = clutter(seed)
+    posed = [(m.vertices @ r.T + p)[m.faces] for m, p, r in zip(meshes, positions, rotations, strict=True)]
+    scene = scenes.EmbreeScene(robust=True)
+    construction.TriangleMesh(scene, np.concatenate(posed).astype(np.float32))
+    x, y = pixel_centres()
+    origins = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3).astype(np.float32)
+    down = np.tile(np.float32([0, 0, -1]), (len(origins), 1))
+    expected = np.maximum(
+        1 - scene.run(origins, down, query="DISTANCE").reshape(x.shape).astype(np.float64), 0
+    )
+    error = np.abs(draw(meshes, positions, rotations) - expected)
+    assert np.count_nonzero(expected) > 1000
+    assert np.mean(error > 1e-5) < 1e-3, "where a ray grazes an edge it may pass on the other side"
+    assert np.median(error[expected > 0]) < 2e-7
+
+
+# Poses
 
 
 def random_poses(count: int) -> list[Pose]:
     rng = np.random.default_rng(0)
-    return [
-        Pose(
-            tuple(rng.uniform(-1, 1, 3).tolist()), tuple(Rotation.random(random_state=rng).as_quat().tolist())
-        )
-        for _ in range(count)
-    ]
+    rotations = [Rotation.random(random_state=rng).as_quat().tolist() for _ in range(count)]
+    return [Pose(tuple(rng.uniform(-1, 1, 3).tolist()), tuple(rotation)) for rotation in rotations]
 
 
 def test_rotations_agree_with_scipy() -> None:
@@ -41,6 +179,9 @@ def test_rotations_agree_with_scipy() -> None:
         both = theirs * Rotation.from_quat(other.orientation)
         assert abs(np.dot(multiply(one.orientation, other.orientation), both.as_quat())) == pytest.approx(1.0)
         assert np.allclose(matrix(one.compose(other)), both.as_matrix())
+        assert one.compose(one.inverse()).position == pytest.approx((0.0, 0.0, 0.0), abs=1e-12)
+        point = one.compose(other).transform((0.3, -0.2, 0.5))
+        assert point == pytest.approx(one.transform(other.transform((0.3, -0.2, 0.5))))
         assert rotate(one.orientation, other.position) == pytest.approx(theirs.apply(other.position))
         assert one.yaw == pytest.approx(theirs.as_euler("xyz")[2])
         assert euler_angles(one.orientation) == pytest.approx(theirs.as_euler("xyz"))
@@ -57,15 +198,6 @@ def test_rotation_vectors_agree_with_scipy() -> None:
         np.testing.assert_allclose(as_rotvec(tuple(-part for part in q)), vector, atol=1e-12)
 
 
-def test_poses_are_composed_and_inverted() -> None:
-    for one, other in itertools.pairwise(random_poses(5)):
-        point = (0.3, -0.2, 0.5)
-        assert one.compose(other).transform(point) == pytest.approx(one.transform(other.transform(point)))
-        for both in (one.compose(one.inverse()), one.inverse().compose(one)):
-            assert both.position == pytest.approx((0.0, 0.0, 0.0), abs=1e-12)
-            assert abs(both.orientation[3]) == pytest.approx(1.0)
-
-
 @pytest.mark.parametrize("period", [2 * math.pi, math.pi, math.pi / 2])
 def test_wrap_angle(period: float) -> None:
     edges = [np.nextafter(sign * period / 2.0, toward) for sign in (-1.0, 1.0) for toward in (-9.0, 9.0)]
@@ -73,61 +205,3 @@ def test_wrap_angle(period: float) -> None:
         wrapped = wrap_angle(angle, period)
         assert -period / 2 <= wrapped < period / 2
         assert math.remainder(wrapped - angle, period) == pytest.approx(0.0, abs=1e-9)
-
-
-def volume(mesh: Mesh) -> float:
-    """Return the volume of a closed mesh, positive if all faces look outward."""
-    return float(np.linalg.det(mesh.vertices[mesh.faces]).sum() / 6.0)
-
-
-def test_meshes_are_moved_and_joined() -> None:
-    box, (pose,) = Mesh.box((0.1, 0.2, 0.3), (1.0, 2.0, 3.0)), random_poses(1)
-    np.testing.assert_allclose(box.bounds, [[0.95, 1.9, 2.85], [1.05, 2.1, 3.15]])
-    assert len(box.vertices) == 8 and volume(box) == pytest.approx(0.1 * 0.2 * 0.3)
-    moved = box.moved(pose)
-    assert moved.vertices[3] == pytest.approx(pose.transform(tuple(box.vertices[3])))
-    joined = join([box, moved])
-    assert volume(joined) == pytest.approx(2.0 * volume(box)) and len(joined.faces) == 24
-    lists = Mesh.of([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [0, 1, 2])
-    assert (
-        lists.vertices.dtype == np.float64 and lists.faces.dtype == np.int32 and lists.faces.shape == (1, 3)
-    )
-
-
-@pytest.mark.parametrize("count", [4, 12, 50])
-def test_footprints_agree_with_numpy(count: int) -> None:
-    rng = np.random.default_rng(count)
-    x, y, z, *angles = rng.uniform(-0.5, 0.5, 6).tolist()
-    pose, vertices = euler_pose((x, y, z), tuple(angles)), rng.uniform(-0.1, 0.1, (count, 3))
-    footprint = Footprint.of(vertices, pose)
-    expected = vertices @ matrix(pose)[:2].T + pose.position[:2]
-    assert footprint.points == pytest.approx(expected, abs=1e-15)
-    turns = 2.0 * math.pi * np.arange(DIRECTIONS) / DIRECTIONS
-    along = expected @ np.stack([np.cos(turns), np.sin(turns)])
-    assert footprint.reach == pytest.approx(along.max(axis=0), abs=1e-15)
-    low, high = expected.min(axis=0), expected.max(axis=0)
-    assert footprint.centre == pytest.approx((low + high) / 2.0)
-    assert footprint.mean == pytest.approx(expected.mean(axis=0))
-    border = np.stack([low, high], axis=1)
-    assert footprint.is_inside(border) and not footprint.is_inside(border, 1e-6)
-    assert footprint.is_inside(border + np.array([-0.01, 0.01]), 0.009)
-
-
-@pytest.mark.parametrize("margin", [0.01, -0.002])
-def test_grown_footprint_has_its_corners_farther_out(margin: float) -> None:
-    rectangle = Footprint.rectangle((0.06, 0.02), Pose.planar(0.4, 0.1, 0.0, 0.7))
-    sides = np.linalg.norm(np.roll(rectangle.points, -1, axis=0) - rectangle.points, axis=1)
-    assert sides == pytest.approx([0.06, 0.02, 0.06, 0.02]) and rectangle.centre == pytest.approx((0.4, 0.1))
-    outwards = rectangle.points - rectangle.points.mean(axis=0)
-    outwards /= np.linalg.norm(outwards, axis=1, keepdims=True)
-    assert rectangle.grown(margin).points == pytest.approx(rectangle.points + margin * outwards)
-    assert Footprint(np.zeros((1, 2))).grown(margin).points.tolist() == [[0.0, 0.0]]
-
-
-def test_gap_of_footprints() -> None:
-    square = Footprint.rectangle((0.1, 0.1), Pose((0.0, 0.0, 0.0)))
-    for degrees in range(0, 360, 7):
-        other = Footprint.rectangle((0.1, 0.1), Pose.planar(0.3, 0.0, 0.0, math.radians(degrees)))
-        clear = other.points[:, 0].min() - 0.05
-        assert clear - 0.002 < square.gap(other) == other.gap(square) <= math.hypot(clear, 0.1)
-    assert square.gap(Footprint.rectangle((0.1, 0.1), Pose.planar(0.09, 0.0, 0.0))) < 0.0

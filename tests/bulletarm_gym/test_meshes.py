@@ -1,28 +1,22 @@
 """Users' meshes and models: loaded as objects or robots, or refused with the file and the reason."""
 
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 from xml.etree import ElementTree
 
-import gymnasium
 import numpy as np
 import pybullet_data
 import pytest
+from rollouts import Make
 
-from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import Mesh, Pose
 from bulletarm_gym.objects.files import GREY, load_folder
 from bulletarm_gym.objects.graspables import FRICTION, MASS, graspables
 from bulletarm_gym.robots import read_urdf
-from bulletarm_gym.simulation import BodySpec, Box, Convex, Piece, Slide, World
+from bulletarm_gym.simulation import Box, Convex, Piece
 from bulletarm_gym.simulation.client import Client
 from bulletarm_gym.simulation.loading import load_urdf
 from bulletarm_gym.simulation.shapes import wavefront
-from bulletarm_gym.simulation.state import PHYSICS_MODES
-from bulletarm_gym.surfaces.surface import FLOOR
-
-Make = Callable[..., ManipulationEnv]
 
 GRASPING = "BulletArm/CloseLoopObjectGrasping-v0"
 SIZE = (0.04, 0.05, 0.06)
@@ -149,14 +143,6 @@ def test_values_of_a_urdf_are_used(tmp_path: Path) -> None:
     assert sum(spec.mass_properties[1]) == pytest.approx(1.2 / 6.0 * sum(side**2 for side in SIZE))
 
 
-def test_cylinder_of_a_urdf_has_its_size(tmp_path: Path) -> None:
-    origin = '<origin xyz="0 0 0.1" rpy="1.5707963267948966 0 0"/>'
-    shape = '<geometry><cylinder radius="0.02" length="0.1"/></geometry>'
-    write_link(tmp_path / "a.urdf", shape=origin + shape)
-    (spec,) = load_folder(str(tmp_path))
-    assert spec.extents == pytest.approx((0.04, 0.1, 0.04))
-
-
 def coloured(rgba: str) -> str:
     return f'<visual>{BOX}<material name="paint"><color rgba="{rgba}"/></material></visual>'
 
@@ -212,12 +198,6 @@ def test_files_and_elements_without_effect_are_named_in_one_warning(tmp_path: Pa
     assert ": C.PLY, b.dae, loose.obj" in str(warning.message)
 
 
-def test_folder_that_does_not_exist_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(ValueError, match=f"^object_set must be .*{tmp_path}.*, got 'none'"):
-        gymnasium.make(GRASPING, object_set="none")
-
-
 def test_objects_wider_than_the_stroke_are_refused_by_name(make: Make, tmp_path: Path) -> None:
     parameters = {"object_set": str(tmp_path), "num_objects": 1}
     (tmp_path / "long.obj").write_text(wavefront([Piece(Box((0.12, 0.05, 0.03)))]))
@@ -238,7 +218,6 @@ def simulated_size(path: Path) -> list[float]:
     body, _ = load_urdf(client, "arm", xml, Pose((0.0, 0.0, 0.0)))
     assert len(client.getCollisionShapeData(body, -1)) == 1
     low, high = client.getAABB(body)
-    client.close()
     return np.subtract(high, low).tolist()
 
 
@@ -306,20 +285,3 @@ def test_model_that_bullet_refuses_is_named() -> None:
     client = Client()
     with pytest.raises(ValueError, match="'lost'"):
         load_urdf(client, "lost", "<robot/>", Pose((0.0, 0.0, 0.0)))
-    client.close()
-
-
-@pytest.mark.parametrize("mass", [0.0, 0.3], ids=["fixed", "free"])
-def test_parts_of_a_body_do_not_collide_with_it_or_with_each_other(mass: float) -> None:
-    def part(name: str) -> Slide:
-        return Slide(name, (Piece(Box((0.04, 0.04, 0.04))),), 0.1, axis=(1.0, 0.0, 0.0), limits=(-0.1, 0.1))
-
-    spec = BodySpec("body", (Piece(Box((0.05, 0.05, 0.05))),), mass, slides=(part("one"), part("other")))
-    world = World(PHYSICS_MODES["fast"])
-    world.add_plane(FLOOR)
-    body = world.add(spec, Pose((0.0, 0.0, 0.5)))
-    world.seal()
-    world.begin()
-    world.step(5)
-    assert not world.contacts(body, body)
-    world.close()

@@ -1,30 +1,31 @@
-"""Open-loop control: actions, motions, heights of targets without z, and in-hand images."""
+"""Open-loop control: actions, motions, heights, in-hand images; the same observations from point clouds."""
 
 import itertools
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
-from rollouts import digest
+from rollouts import Make, digest
 
 from bulletarm_gym.config import Context, EnvConfig
-from bulletarm_gym.control import Grasp, PickPlace
-from bulletarm_gym.control.open_loop import measure_grasp, place_height
+from bulletarm_gym.control import PickPlace
 from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
-from bulletarm_gym.geometry import Pose, euler_angles, euler_pose, matrix, wrap_angle
+from bulletarm_gym.geometry import FloatArray, Pose, euler_angles, matrix, wrap_angle
 from bulletarm_gym.observations import ElevationMap
-from bulletarm_gym.observations.images import projections, rotated_crop
-
-Make = Callable[..., ManipulationEnv]
+from bulletarm_gym.observations.cameras import SIDE_PIXELS, side_cameras
+from bulletarm_gym.real_arm import (
+    close_loop_heightmap,
+    in_hand_image,
+    measure_grasp,
+    open_loop_heightmap,
+    pick_height,
+    place_height,
+)
 
 STACKING = "BulletArm/OpenLoopBlockStacking-v0"
-HOUSE = "BulletArm/OpenLoopHouseBuilding1-v0"
 CUBE = 0.03
 CENTRE, EXTENT = (0.45, 0.0), 0.4
-PIXEL = EXTENT / 128
 
 
 @pytest.fixture
@@ -100,15 +101,15 @@ def test_rotations_are_about_z_then_the_rotated_y_then_the_rotated_x() -> None:
     assert euler_angles(pose.orientation) == pytest.approx((psi, phi, theta))
 
 
-@pytest.mark.parametrize("turns", [-2, -1, 1, 2])
-def test_encode_brings_angles_into_range(make: Make, turns: int) -> None:
+def test_encode_brings_angles_into_range(make: Make) -> None:
     """A rotation by pi about the gripper's axis exchanges its fingers."""
     env = make(STACKING, action_sequence="xyzrrr")
-    move = PickPlace("pick", (0.4, 0.0, 0.1), (0.7 + turns * math.pi, 0.2, -0.3))
-    same = env.decode_action(env.encode_action(move))
-    assert 0.0 <= same.rotation[0] <= math.pi
-    flip = Pose.planar(0.0, 0.0, 0.0, turns * math.pi)
-    np.testing.assert_allclose(matrix(same.pose), matrix(move.pose.compose(flip)), atol=1e-6)
+    for turns in (-2, -1, 1, 2):
+        move = PickPlace("pick", (0.4, 0.0, 0.1), (0.7 + turns * math.pi, 0.2, -0.3))
+        same = env.decode_action(env.encode_action(move))
+        assert 0.0 <= same.rotation[0] <= math.pi
+        flip = Pose.planar(0.0, 0.0, 0.0, turns * math.pi)
+        np.testing.assert_allclose(matrix(same.pose), matrix(move.pose.compose(flip)), atol=1e-6)
 
 
 def test_encode_clips_and_rejects_an_unknown_primitive(env: ManipulationEnv) -> None:
@@ -181,25 +182,6 @@ def test_tilted_pick_holds_a_cube_upright(make: Make, fast: bool) -> None:
     assert cube.pose.tilt < 0.01
 
 
-@pytest.mark.parametrize("half", [True, False])
-def test_waypoints_become_actions(make: Make, half: bool) -> None:
-    """The first with a finish counts; the grasped object has the same target with the fingers exchanged."""
-    env = make(STACKING, half_rotation=half)
-    lay_out(env, Pose.planar(0.5, 0.1, CUBE / 2))
-    target = Pose.planar(0.505, 0.1, CUBE / 2, -0.2)
-    plan = [Waypoint(Pose.planar(0.3, 0.0, 0.1), OPEN), Waypoint(target, OPEN, finish=CLOSED)]
-    move = env.tracker.next_move(iter(plan))
-    assert move.primitive == "pick" and move.position == pytest.approx(target.position)
-    assert move.rotation[0] == pytest.approx(-0.2 + math.pi * half)
-    cube, tool = pick(env, 0.5, 0.11), env.scene.robot.pose
-    assert abs(cube.pose.y - tool.y) > 5e-3
-    spot, carried = Pose.planar(0.4, 0.0, 0.1, -0.3), tool.inverse().compose(cube.pose)
-    place = env.tracker.towards(Waypoint(spot, CLOSED, finish=OPEN))
-    goal, wanted = env.control.executed(place).compose(carried), spot.compose(carried)
-    assert place.primitive == "place" and goal.position == pytest.approx(wanted.position)
-    assert wrap_angle(goal.yaw - wanted.yaw, math.pi) == pytest.approx(0.0, abs=1e-9)
-
-
 # Heights of actions without z
 
 
@@ -211,26 +193,12 @@ def test_pick_height_is_half_a_cube_below_the_highest_point(env: ManipulationEnv
     assert heights == pytest.approx([CUBE / 2, 1.5 * CUBE, 0.005, 0.005], abs=1e-3)
 
 
-def test_place_height_depends_on_the_highest_point_under_the_object(make: Make) -> None:
-    env = make(HOUSE, in_hand_size=16)
-    env.reset(seed=0)
-    roof = env.scene["triangle"]
-    for number, obj in enumerate(env.scene):
-        obj.place(Pose.planar(0.3, 0.1 - 0.09 * number, CUBE / 2))
-    roof.place(Pose.planar(0.55, 0.0, CUBE / 2, 0.0))
-    assert pick(env, 0.55, 0.0) is roof
-    level = env.scene.robot.pose.z - roof.lowest + env.task.grasp_params.place_offset
-    points = ((0.5, 0.0), (0.3, 0.1), (0.3 + CUBE / 2 + 0.009, 0.1), (0.3 + CUBE + 0.006, 0.1))
-    heights = [height_at(env, "place", x, y) for x, y in points]
-    assert heights == pytest.approx([level, level + CUBE, level + CUBE, level], abs=1e-3)
-
-
 def test_place_height_follows_from_measurements_until_the_gripper_is_empty(env: ManipulationEnv) -> None:
-    """An object from a stack is measured. Its simulated pose and shape are not used."""
+    """Simulated pose and shape are not used. A memory of measurements is part of the state."""
     lay_out(env, Pose.planar(0.4, -0.1, CUBE / 2), Pose.planar(0.4, -0.1, 1.5 * CUBE))
-    act(env, "pick", (0.5, 0.0, 0.0))
     assert env.control.memory is None
-    held = pick(env, 0.4, -0.1)
+    held, known = pick(env, 0.4, -0.1), env.control.memory
+    assert env.get_state().control == known and all(type(number) is float for number in known)
     level = CUBE / 2 + env.task.grasp_params.place_offset
     assert height_at(env, "place", 0.5, 0.1) == pytest.approx(level, abs=1.5e-3)
     assert height_at(env, "place", 0.4, -0.1) == pytest.approx(level + CUBE, abs=1.5e-3)
@@ -249,46 +217,7 @@ def test_place_height_follows_from_measurements_until_the_gripper_is_empty(env: 
     assert env.scene.held is None and env.control.memory is None
 
 
-def square(height: float, middle: tuple[float, float], ground: float = 0.0) -> ElevationMap:
-    """Return the heightmap of a square of 4 cm on level ground."""
-    axis = (np.arange(128) + 0.5) * PIXEL - EXTENT / 2.0
-    inside = [np.abs(axis + offset - at) <= 0.02 for offset, at in zip(CENTRE, middle, strict=True)]
-    return ElevationMap(np.where(np.outer(*inside), height, ground).astype(np.float32), CENTRE, EXTENT)
-
-
-@pytest.mark.parametrize(("yaw", "ground"), [(0.0, 0.0), (0.6, 0.05), (-2.5, 0.0)])
-def test_grasp_is_measured_where_the_pick_lowered_the_heightmap(yaw: float, ground: float) -> None:
-    """Another object that moved at the same time does not count."""
-    before, after = (square(height, (0.5, 0.05), ground) for height in (ground + 0.03, ground))
-    before.heights[10:20, 10:20] = 0.1
-    grasp = measure_grasp(before, after, Pose.planar(0.51, 0.05, ground + 0.02, yaw))
-    assert grasp is not None and grasp.height == pytest.approx(0.02, abs=1e-6)
-    middle = Pose.planar(0.51, 0.05, 0.0, yaw).transform((grasp.x, grasp.y, 0.0))
-    assert middle[:2] == pytest.approx((0.5, 0.05), abs=PIXEL)
-    side = 0.04 * (abs(np.cos(yaw)) + abs(np.sin(yaw)))
-    assert side - 3 * PIXEL < grasp.length < side and side - 3 * PIXEL < grasp.width < side
-    assert measure_grasp(before, before, Pose.planar(0.5, 0.05, 0.02)) is None
-    assert measure_grasp(before, after, Pose.planar(0.4, 0.15, 0.02)) is None
-
-
-@pytest.mark.parametrize(("yaw", "height"), [(0.0, 0.053), (math.pi / 2, 0.023)])
-def test_footprint_rotates_with_the_target(yaw: float, height: float) -> None:
-    grasp, target = Grasp(0.02, 0.0, 0.0, 0.01, 0.08), Pose.planar(0.5, 0.05, 0.0, yaw)
-    assert place_height(square(0.03, (0.5, 0.0)), target, grasp, 0.003) == pytest.approx(height)
-
-
 # Observation
-
-
-def test_heightmap_is_metric_and_shows_the_whole_workspace(env: ManipulationEnv) -> None:
-    lay_out(env, Pose.planar(0.55, 0.1, CUBE / 2, 0.3))
-    image = env.observe()["heightmap"]
-    mask = np.zeros((128, 128), bool)
-    mask[64:, 64:] = image[0, 64:, 64:] > 0.001
-    at = np.argwhere(mask).mean(axis=0)
-    np.testing.assert_allclose((at + 0.5) * PIXEL + (0.25, -0.2), (0.55, 0.1), atol=PIXEL / 2)
-    assert mask.sum() * PIXEL**2 == pytest.approx(CUBE**2, rel=0.1)
-    assert image[0][mask].max() == pytest.approx(CUBE, abs=1e-5)
 
 
 def slow_crop(view: ElevationMap, tool: Pose, size: int) -> np.ndarray:
@@ -315,16 +244,6 @@ def slow_projections(view: ElevationMap, tool: Pose, size: int) -> np.ndarray:
     return np.stack([full.sum(axis=axis) for axis in range(3)]) * view.resolution
 
 
-@pytest.mark.parametrize("size", [8, 9])
-@pytest.mark.parametrize("at", [(0.4437, 0.013), (0.26, 0.19), (0.65, -0.2)])
-@pytest.mark.parametrize("angles", [(0.0, 0.0, 0.0), (0.3, -0.5, 2.0)])
-def test_in_hand_images_equal_slow_ones(angles: Any, at: tuple[float, float], size: int) -> None:
-    heights = np.random.default_rng(0).uniform(0.0, 0.05, (20, 20)).astype(np.float32)
-    view, tool = ElevationMap(heights, CENTRE, EXTENT), euler_pose((*at, 0.021), angles)
-    np.testing.assert_allclose(rotated_crop(view, tool, size), slow_crop(view, tool, size), atol=1e-6)
-    np.testing.assert_allclose(projections(view, tool, size), slow_projections(view, tool, size), atol=1e-6)
-
-
 @pytest.mark.parametrize("sequence", ["pxyr", "pxyzrrr"])
 def test_in_hand_shows_the_heightmap_before_the_pick(make: Make, sequence: str) -> None:
     """It stays after a failed pick, and is zero after a place, a pick of nothing and a reset."""
@@ -344,3 +263,83 @@ def test_in_hand_shows_the_heightmap_before_the_pick(make: Make, sequence: str) 
         assert info["ignored"] and np.array_equal(ignored["in_hand"], after["in_hand"])
     end, *_ = act(env, "pick" if env.scene.held is None else "place", (0.4, 0.0, 0.1))
     assert not end["in_hand"].any() and not env.reset(seed=0)[0]["in_hand"].any()
+
+
+# Observations from point clouds
+
+
+def cloud(env: ManipulationEnv, shows_grasped: bool) -> FloatArray:
+    """Return the points of two depth cameras next to the workspace, without the arm."""
+    robot = env.scene.robot
+    absent = [robot.body] if shows_grasped or robot.held is None else [robot.body, robot.held]
+    cameras = side_cameras(env.scene.config, SIDE_PIXELS)
+    return np.concatenate([camera.points(env.scene.world, absent) for camera in cameras])
+
+
+@pytest.mark.parametrize(
+    "env_kwargs", [{}, {"obs_size": 64, "workspace": [[0.32, 0.6], [-0.1, 0.18], [0.02, 0.2]]}]
+)
+def test_close_loop_heightmap_equals_the_point_cloud_view(env_kwargs: dict[str, Any], make: Make) -> None:
+    env = make("BulletArm/CloseLoopBlockStacking-v0", view="point_cloud", **env_kwargs)
+    observation, _ = env.reset(seed=1)
+    for _ in range(5):
+        robot, config = env.scene.robot, env.config
+        image = close_loop_heightmap(
+            cloud(env, shows_grasped=True), robot.pose, robot.opening, config.workspace, config.obs_size
+        )
+        assert (image == observation["heightmap"]).all() and image.dtype == np.float32
+        observation, *_ = env.step(env.expert_action())
+    assert env.scene.held is not None
+
+
+def test_open_loop_heightmap_differs_from_the_orthographic_view_at_edges_only(make: Make) -> None:
+    env = make("BulletArm/OpenLoopBlockStacking-v0")
+    env.reset(seed=0)
+    for _ in range(3):
+        observation, *_ = env.step(env.expert_action())
+        difference = np.abs(open_loop_heightmap(cloud(env, shows_grasped=False)) - observation["heightmap"])
+        assert np.median(difference) < 1e-5 and (difference > 1e-3).mean() < 0.03
+
+
+@pytest.mark.parametrize("name", ["BlockStacking", "RampBlockStacking"])
+def test_in_hand_image_equals_that_of_the_environment(name: str, make: Make) -> None:
+    env = make(f"BulletArm/OpenLoop{name}-v0")
+    before, _ = env.reset(seed=0)
+    action = env.expert_action()
+    move = env.decode_action(action)
+    after, *_ = env.step(action)
+    image = in_hand_image(before["heightmap"], move.pose, tilts=name.startswith("Ramp"))
+    assert image.any() and (image == after["in_hand"]).all()
+
+
+@pytest.mark.parametrize("floor", [0.0, 0.01])
+def test_heights_of_picks_and_places_equal_those_of_the_environment(floor: float, make: Make) -> None:
+    workspace = [[0.25, 0.65], [-0.2, 0.2], [floor, 1.0]]
+    env = make("BulletArm/OpenLoopHouseBuilding1-v0", workspace=workspace)
+    params = env.task.grasp_params
+    before, _ = env.reset(seed=0)
+    for _ in range(3):
+        action = env.expert_action()
+        tool = env.control.executed(env.decode_action(action))
+        height = pick_height(before["heightmap"], tool, params.pick_offset, workspace=workspace)
+        assert height == pytest.approx(tool.z)
+        after, *_ = env.step(action)
+        grasp = measure_grasp(before["heightmap"], after["heightmap"], tool, workspace)
+        assert grasp is not None and tuple(grasp) == pytest.approx(env.control.memory, abs=1e-4)
+        action = env.expert_action()
+        tool = env.control.executed(env.decode_action(action))
+        height = place_height(after["heightmap"], tool, grasp, params.place_offset, workspace)
+        assert height == pytest.approx(tool.z, abs=1e-4)
+        before, *_ = env.step(action)
+
+
+def test_points_must_be_world_coordinates_in_the_square() -> None:
+    tool = Pose((0.45, 0.0, 0.2))
+    with pytest.raises(ValueError, match=r"points .*\(3,\)"):
+        close_loop_heightmap([0.4, 0.0, 0.0], tool, 0.05)
+    with pytest.raises(ValueError, match=r"points .*0\.45 m"):
+        close_loop_heightmap([[450.0, 0.0, 0.0]], tool, 0.05)
+    with pytest.raises(ValueError, match=r"points .*0\.4 m"):
+        open_loop_heightmap([[np.nan, 0.0, 0.0]])
+    known, unknown = [[0.45, 0.0, 0.03], [0.5, 0.1, 0.0]], [[np.nan] * 3, [0.45, 0.0, np.inf]]
+    assert (open_loop_heightmap(known + unknown) == open_loop_heightmap(known)).all()

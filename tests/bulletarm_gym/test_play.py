@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from rollouts import PICKING
 
 from bulletarm_gym import demonstrations
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.play.__main__ import Teleoperation, main
 
-PICKING = "BulletArm/CloseLoopBlockPicking-v0"
 STACKING = "BulletArm/OpenLoopBlockStacking-v0"
 TWO = ["--env-kwargs", "num_objects:2", "obs_size:48"]
 
@@ -78,16 +78,6 @@ def test_invalid_argument_is_rejected(
         play("", *arguments)
     assert word in capsys.readouterr().err.splitlines()[-1]
     assert not list(tmp_path.iterdir())
-
-
-def test_closed_loop_keys_move_the_gripper(picking: ManipulationEnv) -> None:
-    keys = Teleoperation(picking)
-    np.testing.assert_allclose(keys.press("w"), [1, -0.4, 0, 0, 0])
-    np.testing.assert_allclose(keys.press("g"), [-1, 0, 0, 0, 0])
-    np.testing.assert_allclose(keys.press("q"), [-1, 0, 0, 0, 0.4])
-    keys.follow(np.array([1, 0, 0, 0, 0], np.float32))
-    np.testing.assert_allclose(keys.press("r"), [1, 0, 0, 0.4, 0])
-    assert not keys.accepts("i") and not keys.accepts("?")
 
 
 def test_open_loop_keys_move_a_target(make: Callable[..., ManipulationEnv]) -> None:

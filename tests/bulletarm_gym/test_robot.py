@@ -2,12 +2,11 @@
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from rollouts import TYPICAL, step_on, transcript
+from rollouts import PICKING, TYPICAL, Make, finish, step_on
 
 from bulletarm_gym.check.robot import TILT, grid
 from bulletarm_gym.config import WORKSPACES
@@ -17,13 +16,10 @@ from bulletarm_gym.robots import ROBOTS, OutOfReachError, Robot, RobotModel
 from bulletarm_gym.robots.kinematics import POSITION_TOLERANCE
 from bulletarm_gym.simulation.motion import interpolate_path
 
-PICKING = "BulletArm/CloseLoopBlockPicking-v0"
 CORNER = Pose((0.33, -0.12, 0.025))
 """Pose of the cube out of the way of the gripper."""
 SHARES = {"kuka": (0.91, 0.74), "panda": (1.0, 0.9), "ur5": (1.0, 1.0), "ur5_robotiq": (1.0, 1.0)}
 """Share of the open-loop workspace that is in reach, upright and tilted by 30 degrees."""
-
-Make = Callable[..., ManipulationEnv]
 
 
 @pytest.fixture(params=ROBOTS.values(), ids=lambda model: model.name)
@@ -96,47 +92,6 @@ def test_joints_depend_on_the_pose_alone(robot: Robot) -> None:
     )
     with pytest.raises(OutOfReachError, match=robot.model.name):
         robot.move_to(Pose.planar(1.6, 0.0, 0.2))
-
-
-def test_neighbouring_poses_have_neighbouring_joints(model: RobotModel) -> None:
-    """A straight line in the joints is nearly one at the fingertips, over the largest closed-loop moves."""
-    rng, low, high = np.random.default_rng(0), (0.3, -0.15, 0.02), (0.6, 0.15, 0.25)
-    for _ in range(100):
-        start = rng.uniform((*low, -0.8), (*high, 0.8))
-        end = start + rng.uniform(-1.0, 1.0, 4) * (0.05, 0.05, 0.05, math.pi / 4.0)
-        end[:3] = end[:3].clip(low, high)
-        first, last = (model.inverse(Pose.planar(*pose.tolist()))[0] for pose in (start, end))
-        change = np.array([wrap_angle(turn) for turn in (last - first).tolist()])
-        assert np.abs(change).max() < 1.0 and np.abs(change[:-1]).max() < 0.5
-        middle = model.chain.forward(first + 0.5 * change).position
-        assert math.dist(middle, (start[:3] + end[:3]) / 2.0) < 0.006
-
-
-def test_rotated_base_has_the_same_joint_positions(model: RobotModel) -> None:
-    turn = Pose.planar(0.0, 0.0, 0.0, math.pi / 3.0)
-    turned = replace(model, base=turn.compose(model.base))
-    for x, y, z in itertools.product((0.35, 0.55), (-0.15, 0.15), (0.05, 0.2)):
-        pose = Pose.planar(x, y, z, 0.3)
-        np.testing.assert_allclose(turned.inverse(turn.compose(pose))[0], model.inverse(pose)[0], atol=1e-6)
-
-
-def test_kinematics_agree_with_the_simulator(armed: ManipulationEnv, robot: Robot) -> None:
-    client, body = armed.scene.world.client, robot.body
-    last = [link.joint for link in body.links].index(robot.model.joints[-1])
-    for pose in (Pose.planar(0.45, 0.0, 0.2), euler_pose((0.5, -0.1, 0.15), (TILT, 0.2, 0.7))):
-        robot.home(pose)
-        link = client.getLinkState(body.id, last, computeForwardKinematics=True)
-        assert far(Pose(link[4], link[5]).compose(robot.model.tool), pose) < 1e-4
-        assert far(robot.pose, pose) < 1e-4
-    assert max(map(len, robot.model.xml.splitlines())) < 1024, "Bullet breaks longer lines"
-
-
-def test_elbow_is_up_and_no_link_is_below_the_ground(armed: ManipulationEnv, robot: Robot) -> None:
-    client, body = armed.scene.world.client, robot.body.id
-    for x, y, height in itertools.product((0.3, 0.6), (-0.15, 0.15), (0.02, 0.25)):
-        robot.home(Pose.planar(x, y, height, 0.8))
-        lowest = [client.getAABB(body, link)[0][2] for link in range(client.getNumJoints(body))]
-        assert min(lowest) > -0.01 and client.getLinkState(body, 2)[4][2] > height + 0.1
 
 
 # Motions
@@ -228,17 +183,8 @@ def test_expert_rotates_away_from_a_joint_limit(armed: ManipulationEnv, directio
     armed.reset(seed=0)
     for _ in range(10):
         armed.step([1.0, 0.0, 0.0, 0.0, direction])
-    assert solve(armed) <= 20
-
-
-def solve(env: ManipulationEnv) -> int:
-    """Let the expert finish an episode, and return the number of its steps."""
-    steps, is_over = 0, False
-    while not is_over:
-        *_, terminated, truncated, info = env.step(env.expert_action())
-        steps, is_over = steps + 1, terminated or truncated
-    assert info["is_success"]
-    return steps
+    solved, steps = finish(armed)
+    assert solved and steps <= 20
 
 
 @pytest.mark.parametrize("task", ["BlockPicking", "BlockPulling"])
@@ -246,14 +192,8 @@ def test_expert_solves_tasks_with_each_arm(make: Make, model: RobotModel, task: 
     env = make(f"BulletArm/CloseLoop{task}-v0", robot=model.name)
     for seed in range(3):
         env.reset(seed=seed)
-        assert solve(env) <= 12
-
-
-def test_episodes_repeat_exactly(make: Make, model: RobotModel) -> None:
-    env = make(PICKING, robot=model.name)
-    first = transcript(env, 10, seed=0)
-    transcript(env, 10, seed=99, action_seed=5)
-    assert transcript(env, 10, seed=0) == first == transcript(make(PICKING, 1, robot=model.name), 10, seed=0)
+        solved, steps = finish(env)
+        assert solved and steps <= 12
 
 
 @pytest.mark.parametrize("env_id", [env_id for env_id in TYPICAL if "Grasping" not in env_id])
@@ -321,12 +261,3 @@ def test_torques_agree_with_the_simulator(armed: ManipulationEnv, robot: Robot) 
         expected = world.client.calculateInverseDynamics(robot.body.id, *(part.tolist() for part in motion))
         torques = robot.dynamics.torques(*(part[slots] for part in motion))
         assert torques == pytest.approx(np.array(expected)[slots], abs=0.1)
-
-
-def test_motions_take_longer_with_less_torque_or_more_load(robot: Robot) -> None:
-    path = np.array([robot.joint_positions, robot.inverse_kinematics(Pose.planar(0.45, 0.0, 0.25))])
-    limits = np.array(robot.model.torques)
-    fastest = robot.dynamics.least_steps(path, limits, 0.0)
-    assert fastest < robot.dynamics.least_steps(path, 0.5 * limits, 0.0)
-    assert fastest < robot.dynamics.least_steps(path, limits, 2.0)
-    assert fastest < robot.dynamics.least_steps(path, limits, 0.0, rise=0.25)

@@ -1,23 +1,23 @@
 """Predicates on objects, structures of blocks, and how the expert builds and corrects them."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import pytest
+from rollouts import Make, digest, finish
 
-from bulletarm_gym.config import CLOSE_LOOP
+from bulletarm_gym.demonstrations import collect
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.experts.blueprint import Blueprint
-from bulletarm_gym.experts.pick_place import fingers_fit, palm_fits, pick, resting_frame
+from bulletarm_gym.experts.pick_place import (
+    fingers_fit,
+    palm_fits,
+)
 from bulletarm_gym.geometry import Pose, euler_pose
 from bulletarm_gym.scene import Scene, SceneObject
 from bulletarm_gym.scene import predicates as are
-from bulletarm_gym.scene.sampling import footprint
-from bulletarm_gym.tasks.stacking import BLOCK_SPACING, Structure
-
-Make = Callable[..., ManipulationEnv]
 
 CUBE = 0.03
 CENTRE = 0.45
@@ -30,6 +30,7 @@ IMPROVISE_3 = "BulletArm/OpenLoopImproviseHouseBuilding3-v0"
 RAMP = "BulletArm/OpenLoopRampHouseBuilding2-v0"
 BUMP = "BulletArm/OpenLoopBumpHouseBuilding4-v0"
 STACKING = "BulletArm/CloseLoopBlockStacking-v0"
+OPEN_STACKING = "BulletArm/OpenLoopBlockStacking-v0"
 PAIR = {"cube_0": (-0.025, 0.0), "cube_1": (0.025, 0.0)}
 
 
@@ -43,20 +44,6 @@ def lay(env: ManipulationEnv, **places: Sequence[float]) -> ManipulationEnv:
         x, yaw = (*rest, CENTRE, 0.0)[:2] if len(rest) != 1 else (rest[0], 0.0)
         env.scene[name.replace("_", " ")].place(Pose.planar(x, y, low + CUBE / 2.0, yaw))
     return env
-
-
-def is_built(env: ManipulationEnv) -> bool:
-    return env.task.evaluate(env.scene)["success"]
-
-
-def finish(env: ManipulationEnv) -> int:
-    """Act by the expert; return its number of steps to success."""
-    for count in range(1, env.config.max_steps + 1):
-        *_, terminated, _, info = env.step(env.expert_action())
-        if terminated:
-            assert info["is_success"], info
-            return count
-    raise AssertionError("the structure is not built")
 
 
 # Predicates
@@ -76,28 +63,14 @@ def place(scene: Scene, *positions: tuple[float, float, float]) -> list[SceneObj
     return scene.objects
 
 
-@pytest.mark.parametrize(
-    ("positions", "expected"),
-    [
+def test_stacked(cubes: Scene) -> None:
+    for positions, expected in (
         (((0.0, 0.0, 0.125), (0.01, 0.0, 0.025), (0.0, 0.01, 0.075)), True),
         (((0.0, 0.0, 0.125), (0.1, 0.0, 0.025), (0.0, 0.01, 0.075)), False),
         (((0.0, 0.0, 0.135), (0.0, 0.0, 0.035), (0.0, 0.0, 0.085)), False),  # not on the surface
         (((0.0, 0.0, 0.025), (0.0, 0.05, 0.025), (0.0, 0.025, 0.075)), False),  # two at one level
-    ],
-)
-def test_stacked(cubes: Scene, positions: tuple[tuple[float, float, float], ...], expected: bool) -> None:
-    assert are.stacked(cubes, place(cubes, *positions)) is expected
-
-
-def test_grasped_object_is_not_stacked(make: Make) -> None:
-    env = make(STACKING)
-    env.reset(seed=0)
-    while env.scene.held is None:
-        env.step(env.expert_action())
-    held = env.scene.held
-    (other,) = (obj for obj in env.scene if obj is not held)
-    other.place(Pose.planar(held.pose.x, held.pose.y, held.pose.z + 0.0505))
-    assert are.on_top(env.scene, held, other) and not are.stacked(env.scene, env.scene)
+    ):
+        assert are.stacked(cubes, place(cubes, *positions)) is expected
 
 
 def test_relations_of_two_cubes(cubes: Scene) -> None:
@@ -117,100 +90,46 @@ def test_poses_of_one_cube(cubes: Scene) -> None:
         cube.place(euler_pose((0.45, 0.0, 0.1), (0.0, math.radians(degrees), 0.0)))
         assert are.upright(cube) is is_upright
     edge = euler_pose((0.45, 0.0, 0.025 * math.sqrt(2.0)), (math.pi / 4.0, 0.0, 0.0))
-    for pose, touches in (
-        (Pose.planar(0.45, 0.0, 0.025, 0.3), True),
-        (edge, True),
-        (Pose((0.45, 0, 0.03)), False),
-    ):
+    for pose in (Pose.planar(0.45, 0.0, 0.025, 0.3), edge, Pose((0.45, 0, 0.03))):
         cube.place(pose)
-        assert are.on_surface(cubes, cube) is touches
+        assert are.on_surface(cubes, cube) is (pose.z != 0.03)
     cubes.begin()
     cubes.world.step(3)
     cubes.world.end()
     assert not are.at_rest(cubes)
 
 
-def test_inside_ignores_the_height(make: Make) -> None:
-    env = make("BulletArm/OpenLoopBinPacking-v0")
-    env.reset(seed=0)
-    container, block = env.scene["bin"], env.scene["block 0"]
-    for x, y, expected in ((0.087, 0.071, True), (0.089, 0.0, False), (0.0, -0.073, False)):
-        block.place(container.pose.compose(Pose((x, y, 0.3))))
-        assert are.inside(block, container) is expected
-
-
-def test_relations_of_a_long_block(make: Make) -> None:
-    scene = lay(make(HOUSE_3), **PAIR, brick=(0.0, CUBE)).scene
-    cube, brick = scene["cube 0"], scene["brick"]
-    pair = [cube, scene["cube 1"]]
-    for y, degrees, expected in ((0.0, 0.0, True), (0.029, 25.0, True), (0.031, 26.0, False)):
-        brick.place(Pose.planar(CENTRE, y, 1.5 * CUBE, math.radians(degrees)))
-        assert are.between(brick, pair, CUBE) is are.lies_along(brick, pair[::-1]) is expected
-    for quarter in range(4):
-        brick.place(euler_pose(brick.pose.position, (0.0, quarter * math.pi / 2.0, 0.3)))
-        assert are.lies_along(brick, pair) and are.lies_flat(brick)
-        assert abs(math.sin(resting_frame(brick).yaw - 0.3)) < 1e-6
-    brick.place(euler_pose(brick.pose.position, (math.pi / 2.0, 0.0, 0.0)))
-    assert not are.lies_along(brick, pair)
-    for height, expected in ((1.5, True), (1.7, False)):  # only its end is on the cube
-        brick.place(Pose.planar(CENTRE, cube.pose.y + 0.065, height * CUBE))
-        assert are.carries(scene, cube, brick) is are.rests_on(scene, cube, brick) is expected
-        assert not are.on_top(scene, cube, brick)
-
-
 # Success
 
 
-@pytest.mark.parametrize(
-    ("blocks", "expected"),
-    [
-        ({"roof": (0.0, CUBE)}, True),
-        ({"roof": (0.0, CUBE, CENTRE + 0.012, math.pi)}, True),
-        ({"roof": (0.028, CUBE)}, True),
-        ({"roof": (0.032, CUBE)}, False),
-        ({"roof": (0.0, CUBE, CENTRE, math.radians(24.0))}, True),
-        ({"roof": (0.0, CUBE, CENTRE, math.radians(27.0))}, False),
-        ({"roof": (0.0, CUBE + 0.004)}, False),
-        ({"roof": (0.1, 0.0)}, False),
-        (
-            {"cube_1": (-0.025, 0.0, CENTRE, 0.5), "cube_0": (0.025, 0.0, CENTRE, 2.0), "roof": (0.0, CUBE)},
-            True,
-        ),
-        ({"cube_0": (0.0, 0.0), "cube_1": (0.1, 0.0), "roof": (0.0, CUBE)}, False),
-    ],
-    ids=str,
-)
-def test_success_of_a_roof_on_two_cubes(
-    make: Make, blocks: dict[str, tuple[float, ...]], expected: bool
-) -> None:
-    assert is_built(lay(make(HOUSE_2), **{**PAIR, **blocks})) is expected
+ROOF = {**PAIR, "roof": (0.0, CUBE)}
+UPPER = {"cube_2": (-0.03, 2 * CUBE), "cube_3": (0.03, 2 * CUBE), "roof": (0.0, 3 * CUBE)}
+FOUR_LAYERS = {**PAIR, "brick": (0.0, CUBE), **UPPER}
 
 
 @pytest.mark.parametrize(
-    ("change", "expected"),
+    ("env_id", "blocks", "expected"),
     [
-        ({}, True),
-        ({"cube_0": (-0.03, 2 * CUBE), "cube_2": (-0.025, 0.0)}, True),
-        ({"cube_2": (-0.01, 2 * CUBE), "cube_3": (0.05, 2 * CUBE), "roof": (0.02, 3 * CUBE)}, True),
-        ({"cube_3": (0.1, 0.0)}, False),
-        ({"brick": (0.0, 3 * CUBE), "roof": (0.0, CUBE)}, False),
-        ({"brick": (0.0, CUBE, CENTRE, 0.5)}, False),
+        (HOUSE_2, ROOF, True),
+        (HOUSE_2, {**ROOF, "roof": (0.0, CUBE, CENTRE + 0.012, math.pi)}, True),
+        (HOUSE_2, {**ROOF, "roof": (0.028, CUBE)}, True),
+        (HOUSE_2, {**ROOF, "roof": (0.032, CUBE)}, False),
+        (HOUSE_2, {**ROOF, "roof": (0.0, CUBE, CENTRE, math.radians(24.0))}, True),
+        (HOUSE_2, {**ROOF, "roof": (0.0, CUBE, CENTRE, math.radians(27.0))}, False),
+        (HOUSE_2, {**ROOF, "roof": (0.0, CUBE + 0.004)}, False),
+        (HOUSE_2, {**ROOF, "roof": (0.1, 0.0)}, False),
+        (HOUSE_2, {**ROOF, "cube_1": (-0.025, 0.0, CENTRE, 0.5), "cube_0": (0.025, 0.0, CENTRE, 2.0)}, True),
+        (HOUSE_2, {**ROOF, "cube_0": (0.0, 0.0), "cube_1": (0.1, 0.0)}, False),
+        (HOUSE_4, FOUR_LAYERS, True),
+        (HOUSE_4, {**FOUR_LAYERS, "cube_0": (-0.03, 2 * CUBE), "cube_2": (-0.025, 0.0)}, True),
+        (HOUSE_4, {**FOUR_LAYERS, "cube_3": (0.1, 0.0)}, False),
+        (HOUSE_4, {**FOUR_LAYERS, "brick": (0.0, 3 * CUBE), "roof": (0.0, CUBE)}, False),
+        (HOUSE_4, {**FOUR_LAYERS, "brick": (0.0, CUBE, CENTRE, 0.5)}, False),
     ],
-    ids=str,
 )
-def test_success_of_a_house_of_four_layers(
-    make: Make, change: dict[str, tuple[float, ...]], expected: bool
-) -> None:
-    upper = {"cube_2": (-0.03, 2 * CUBE), "cube_3": (0.03, 2 * CUBE), "roof": (0.0, 3 * CUBE)}
-    assert is_built(lay(make(HOUSE_4), **{**PAIR, "brick": (0.0, CUBE), **upper, **change})) is expected
-
-
-def test_a_grasped_roof_is_not_built(make: Make) -> None:
-    env = make(HOUSE_2)
-    env.reset(seed=3)
-    for _ in range(3):
-        *_, info = env.step(env.expert_action())
-    assert env.scene.held is env.scene["roof"] and not info["is_built"]
+def test_success_of_a_house(make: Make, env_id: str, blocks: dict[str, Any], expected: bool) -> None:
+    env = lay(make(env_id), **blocks)
+    assert env.task.evaluate(env.scene)["success"] is expected
 
 
 def test_blueprint_rejects_layers_without_support() -> None:
@@ -219,20 +138,6 @@ def test_blueprint_rejects_layers_without_support() -> None:
 
 
 # Starts and the expert
-
-
-@pytest.mark.parametrize("env_id", [HOUSE_4, IMPROVISE_3, RAMP, BUMP, STACKING])
-def test_episodes_start_with_separate_blocks(make: Make, env_id: str) -> None:
-    env = make(env_id)
-    # On bumps blocks tilt until they rest; in closed loop the centres have a minimum distance.
-    gap = BLOCK_SPACING * (1.0 if env.scene.surface.keeps_poses else 0.25)
-    gap *= 0.6 if env.config.control == CLOSE_LOOP else 1.0
-    for seed in range(3):
-        env.reset(seed=seed)
-        bases = [footprint(obj) for obj in env.scene]
-        assert all(a.gap(b) > gap - 2e-3 for n, a in enumerate(bases) for b in bases[:n])
-        assert isinstance(env.task, Structure)
-        assert len(env.task.builder(env.scene, np.random.default_rng(0)).placed) <= 1
 
 
 @pytest.mark.parametrize("env_id", [HOUSE_2, RAMP])
@@ -258,13 +163,11 @@ def test_a_fallen_roof_ends_the_episode(make: Make, env_id: str) -> None:
     ],
     ids=str,
 )
-def test_expert_needs_two_steps_a_block(
-    make: Make, env_id: str, parameters: dict[str, Any], picks: int
-) -> None:
+def test_expert_needs_two_steps_a_block(make: Make, env_id: str, parameters: Any, picks: int) -> None:
     """The first block stays where it is, except on bumps."""
     env = make(env_id, **parameters)
     env.reset(seed=1)
-    assert finish(env) == 2 * picks
+    assert finish(env) == (True, 2 * picks)
 
 
 @pytest.mark.parametrize(
@@ -278,23 +181,9 @@ def test_expert_needs_two_steps_a_block(
     ],
     ids=str,
 )
-def test_expert_takes_wrong_structures_apart(
-    make: Make, wrong: dict[str, tuple[float, ...]], steps: int
-) -> None:
-    assert finish(lay(make(HOUSE_3), **wrong)) <= steps
-
-
-def test_fingers_close_along_a_row_of_blocks(make: Make) -> None:
-    env = lay(
-        make(HOUSE_3),
-        cube_0=(0.0, 0.0),
-        brick=(0.0, 0.0, CENTRE + 0.045),
-        roof=(0.0, 0.0, CENTRE - 0.045),
-    )
-    cube = env.scene["cube 0"]
-    pose = pick(env.scene, cube, np.random.default_rng(0)).pose
-    assert abs(math.cos(pose.yaw)) < 0.01 and fingers_fit(env.scene, pose, cube)
-    assert not fingers_fit(env.scene, cube.pose, cube)
+def test_expert_takes_wrong_structures_apart(make: Make, wrong: dict[str, Any], steps: int) -> None:
+    solved, count = finish(lay(make(HOUSE_3), **wrong))
+    assert solved and count <= steps
 
 
 @pytest.mark.parametrize(("robot", "fits"), [("panda", False), ("kuka", True)])
@@ -311,4 +200,42 @@ def test_random_blocks_are_placed_without_a_rotation(make: Make, seed: int) -> N
     """The blocks of these seeds are grasped off their middles, and their line points backwards."""
     env = make(IMPROVISE_2, action_sequence="pxy", random_orientation=False)
     env.reset(seed=seed)
-    assert finish(env) == 4
+    assert finish(env) == (True, 4)
+
+
+# Finished structures, and the planner that takes them apart
+
+
+@pytest.mark.parametrize(
+    "env_id", [OPEN_STACKING, HOUSE_1, IMPROVISE_3, RAMP, "BulletArm/CloseLoopHouseBuilding-v0"]
+)
+def test_goal_starts_are_solved_and_repeatable(make: Make, env_id: str) -> None:
+    env = make(env_id)
+    for seed in range(3):
+        first, info = env.reset(seed=seed, options={"start": "goal"})
+        assert info["is_success"] and info["is_valid"] and first in env.observation_space
+        assert digest(first) == digest(env.reset(seed=seed, options={"start": "goal"})[0])
+    assert not env.reset(seed=0)[1]["is_success"]
+
+
+@pytest.mark.parametrize(
+    ("env_id", "env_kwargs"),
+    [
+        (OPEN_STACKING, {"action_sequence": "pxy", "random_orientation": False}),
+        (IMPROVISE_3, {}),
+        *((HOUSE_1, {"robot": robot}) for robot in ("kuka", "panda", "ur5", "ur5_robotiq")),
+    ],
+    ids=str,
+)
+def test_demonstrations_rebuild_the_structure(make: Make, env_id: str, env_kwargs: dict[str, Any]) -> None:
+    demonstrations = collect(env_id, 3, "deconstruction", seed=0, env_kwargs=env_kwargs)
+    assert demonstrations.attempts <= 4
+    env = make(env_id, **env_kwargs)
+    steps = 2 * (env.config.num_objects - 1)
+    for episode in demonstrations:
+        np.testing.assert_array_equal(episode.observations["holding"][:-1, 0], np.resize([0.0, 1.0], steps))
+        assert not episode.observations["in_hand"][::2].any()
+        assert all(image.any() for image in episode.observations["in_hand"][1::2])
+    env.set_state(demonstrations[0].state)
+    if "random_orientation" in env_kwargs:
+        assert [obj.pose.yaw for obj in env.scene] == pytest.approx([0.0] * 4, abs=1e-4)

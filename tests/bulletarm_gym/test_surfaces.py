@@ -1,18 +1,26 @@
-"""Ramps and bumps: geometry, heightmap, placed objects, and sites of structures."""
+"""Surfaces and the sampling of poses on them; loaded bodies, and values that are computed once a pose."""
 
 import math
-from collections.abc import Callable, Iterable
+import re
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
+from rollouts import Make
 
 from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.geometry import Footprint, PlacementError, rotate
+from bulletarm_gym.geometry import Footprint, PlacementError, Pose
+from bulletarm_gym.objects.blocks import SHAPES
 from bulletarm_gym.observations import HeightRenderer, Window
-from bulletarm_gym.scene.predicates import on_site, on_surface
-from bulletarm_gym.scene.sampling import footprint, free_site, place_apart
+from bulletarm_gym.scene import Scene
+from bulletarm_gym.scene.predicates import on_site, on_surface, touching
+from bulletarm_gym.scene.sampling import (
+    footprint,
+    free_site,
+    place_apart,
+)
+from bulletarm_gym.scene.scene import MAX_BODIES
 from bulletarm_gym.simulation import World
 from bulletarm_gym.simulation.state import PHYSICS_MODES
 from bulletarm_gym.surfaces import SURFACES, RampSurface
@@ -20,12 +28,12 @@ from bulletarm_gym.surfaces import SURFACES, RampSurface
 ENV_ID = "BulletArm/CloseLoopBlockStacking-v0"
 WORKSPACE = [[0.25, 0.65], [-0.2, 0.2], [0.01, 0.5]]
 PARAMETERS = {"workspace": WORKSPACE, "num_objects": 4, "object_scale_range": 0.6}
+PACKING = "BulletArm/OpenLoopBinPacking-v0"
 PIXELS = 96
 SKIN = 2e-3
 """Maximum thickness (m) of the skin around Bullet's convex hulls, such as pyramids."""
 SHOULDER = 2
 """Number of links of an arm, from the base on, that are too low to pass over a ramp."""
-Make = Callable[..., ManipulationEnv]
 
 
 @pytest.fixture(params=["flat", "ramp", "bump"])
@@ -62,24 +70,6 @@ def test_heightmap_and_simulation_have_the_heights_of_the_surface(env: Manipulat
     assert ground.mean() > 0.8, "the other rays hit the arm"
     struck = np.array([hit[3][2] for hit in hits])
     assert np.abs(struck - scene.surface.heights(points))[ground].max() < SKIN
-
-
-def test_normals_are_those_of_the_heights(env: ManipulationEnv) -> None:
-    surface, points, step = env.scene.surface, grid()[::97], 1e-5
-    surface.arrange(np.random.default_rng(1))
-    middle = surface.heights(points)
-    ahead, behind = (
-        np.stack([surface.heights(points + sign * move) for move in step * np.eye(2)]) for sign in (1.0, -1.0)
-    )
-    checked = 0
-    for index in np.flatnonzero(np.abs(ahead + behind - 2.0 * middle).max(axis=0) < 1e-8):
-        x, y = (ahead - behind)[:, index] / (2.0 * step)
-        normal = surface.normal(tuple(points[index]))
-        assert normal == pytest.approx(np.array((-x, -y, 1.0)) / math.hypot(x, y, 1.0), abs=1e-6)
-        upward = rotate(surface.pose(tuple(points[index]), 0.7).orientation, (0.0, 0.0, 1.0))
-        assert upward == pytest.approx(normal, abs=1e-9)
-        checked += 1
-    assert checked > 0.8 * len(points)
 
 
 def test_ranges_of_the_ramps() -> None:
@@ -152,23 +142,18 @@ def test_sites_are_level_free_and_inside(env: ManipulationEnv) -> None:
         surface.goal_site((0.3, 0.5), rng)
 
 
-@pytest.mark.parametrize(
-    ("name", "parameters", "others", "reason"),
-    [
-        ("CloseLoopBlockStacking", {"surface": "lawn"}, "one of 'flat'", ""),
-        ("OpenLoopBottleArrangement", {"surface": "ramp"}, "'flat'", "bottles fall"),
-        ("OpenLoopBinPacking", {"surface": "tray"}, "'flat' or 'ramp' or 'bump'", "the bin"),
-        ("CloseLoopBlockPicking", {"surface": "ramp", "close_loop_tray": True}, "'flat' or 'tray'", "level"),
-        ("CloseLoopCornerPicking", {"surface": "tray"}, "'flat'", "tray"),
-    ],
-)
-def test_surface_that_does_not_fit_the_task_is_refused(
-    name: str, parameters: dict[str, Any], others: str, reason: str
-) -> None:
-    with pytest.raises(
-        ValueError, match=f"surface must be {others}.*, got '{parameters['surface']}'.*{reason}"
+def test_surface_that_does_not_fit_the_task_is_refused() -> None:
+    for name, surface, others in (
+        ("CloseLoopBlockStacking", "lawn", "one of 'flat'"),
+        ("OpenLoopBottleArrangement", "ramp", "'flat'.*bottles fall"),
+        ("OpenLoopBinPacking", "tray", "'flat' or 'ramp' or 'bump'.*the bin"),
+        ("CloseLoopCornerPicking", "tray", "'flat'.*tray"),
     ):
-        gymnasium.make(f"BulletArm/{name}-v0", **parameters)
+        with pytest.raises(ValueError, match=r"surface must be .*, got") as error:
+            gymnasium.make(f"BulletArm/{name}-v0", surface=surface)
+        assert re.search(others, str(error.value)) and surface in str(error.value)
+    with pytest.raises(ValueError, match=r"surface must be 'flat' or 'tray'.*, got 'ramp'.*level"):
+        gymnasium.make("BulletArm/CloseLoopBlockPicking-v0", surface="ramp", close_loop_tray=True)
 
 
 @pytest.mark.parametrize(
@@ -179,9 +164,7 @@ def test_surface_that_does_not_fit_the_task_is_refused(
         ("OpenLoopBumpHouseBuilding4", {"workspace_check": "bounding_box"}, (382, 470, 483, 701)),
     ],
 )
-def test_scenes_with_little_space_are_valid(
-    make: Make, name: str, parameters: dict[str, Any], seeds: Iterable[int]
-) -> None:
+def test_scenes_with_little_space_are_valid(make: Make, name: str, parameters: Any, seeds: Any) -> None:
     env = make(f"BulletArm/{name}-v0", **parameters)
     assert all(env.reset(seed=seed)[1]["is_valid"] for seed in seeds)
 
@@ -195,6 +178,55 @@ def test_ramps_keep_clear_of_the_arm(make: Make, robot: str) -> None:
         assert len(plates) == 2
         for plate in plates:
             points = scene.world.closest_points(scene.robot.body, plate, 0.02)
-            assert not any(
-                0 <= point.link < SHOULDER for point in points
-            )  # the base is as fixed as the plate
+            # The base is as fixed as the plate.
+            assert not any(0 <= point.link < SHOULDER for point in points)
+
+
+# Sampling of poses
+
+
+@pytest.fixture
+def scene(make: Make) -> Scene:
+    env = make(ENV_ID, num_objects=3)
+    env.reset(seed=0)
+    return env.scene
+
+
+# Loaded bodies
+
+
+def test_a_range_of_sizes_keeps_all_sizes_and_shapes_in_few_bodies(make: Make) -> None:
+    full, env = make(PACKING), make(PACKING, object_scale_range=[0.7, 0.9])
+    assert all(len(obj.choices) == len(obj.slot.variants) for obj in full.scene.objects)
+    assert len(env.scene.world.bodies) <= MAX_BODIES + 2  # with ground and arm
+    pairs = set()
+    for obj in env.scene.objects[1:]:
+        own = {tuple(obj.slot.variants[place].name.split()[-2:]) for place in obj.choices}
+        assert len({shape for shape, _ in own}) == len(SHAPES) and len({scale for _, scale in own}) >= 7
+        pairs |= own
+    assert len(pairs) == len(SHAPES) * len(env.config.scales)
+
+
+# Values that are computed once a pose
+
+
+def test_relations_and_heightmaps_follow_the_poses(make: Make) -> None:
+    env = make("BulletArm/OpenLoopBlockStacking-v0")
+    env.reset(seed=0)
+    scene, window = env.scene, Window(env.config.centre, env.config.workspace_size, 64)
+    first, second = list(scene)[:2]
+    renderer, before = HeightRenderer.of(scene), footprint(first)
+    assert footprint(first) is before and not touching(scene, first, second)
+    x, y, z = second.pose.position
+    first.place(Pose((x, y, z + second.spec.extents[2])))
+    assert touching(scene, first, second) and footprint(first).centre == pytest.approx((x, y))
+    assert first.lowest == pytest.approx(second.bounds[1, 2], abs=1e-6)
+    state, alone = env.get_state(), renderer.heights_of([first.body], window)
+    first.place(Pose((x + 0.1, y, z)))
+    assert not touching(scene, first, second)
+    assert not np.array_equal(renderer.heights_of([first.body], window), alone)
+    env.set_state(state)
+    assert touching(scene, first, second)
+    np.testing.assert_array_equal(renderer.heights_of([first.body], window), alone)
+    first.park()
+    assert renderer.heights_of([first.body], window).max() == 0.0

@@ -17,7 +17,6 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
 from bulletarm_gym.vector import make_multi_task_vec, reset_to_states
 
 ENV_ID = "BulletArm/CloseLoopBlockPicking-v0"
-SPAWNED = partial(AsyncVectorEnv, context="spawn")
 MAKE = partial(gymnasium.make, f"bulletarm_gym:{ENV_ID}", obs_size=32)
 
 
@@ -35,12 +34,11 @@ def test_members_equal_single_environments() -> None:
     vector.close()
 
 
-@pytest.mark.parametrize(("mode", "kind"), [(None, SyncVectorEnv), ("async", AsyncVectorEnv)])
-def test_experts_of_wrapped_members_act_in_their_action_space(mode: str | None, kind: type) -> None:
+def test_experts_of_wrapped_members_act_in_their_action_space() -> None:
     rescale = partial(RescaleAction, min_action=np.float32(0.0), max_action=np.float32(2.0))
     options = {"autoreset_mode": "SameStep"}
-    vector: Any = gymnasium.make_vec(ENV_ID, 2, mode, options, wrappers=[rescale], obs_size=32)
-    assert type(vector) is kind and vector.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+    vector: Any = gymnasium.make_vec(ENV_ID, 2, "async", options, wrappers=[rescale], obs_size=32)
+    assert vector.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
     vector.reset(seed=3)
     solved = np.zeros(2, bool)
     for _ in range(25):
@@ -67,7 +65,6 @@ def test_experts_of_stable_baselines3_members_solve_the_task(make: Any, env_id: 
     assert solved.all()
 
 
-@pytest.fixture(scope="module")
 def starts() -> tuple[list[Any], list[Any]]:
     """Return three states, the last within an episode, and their heightmaps."""
     env = make_env(ENV_ID, obs_size=32)
@@ -83,8 +80,8 @@ def starts() -> tuple[list[Any], list[Any]]:
 
 
 @pytest.mark.parametrize("mode", ["sync", "async"])
-def test_members_begin_at_states(mode: str, starts: tuple[list[Any], list[Any]]) -> None:
-    states, expected = starts
+def test_members_begin_at_states(mode: str) -> None:
+    states, expected = starts()
     vector = gymnasium.make_vec(ENV_ID, 3, mode, obs_size=32)
     vector.reset(seed=0)
     for _ in range(2):
@@ -93,9 +90,8 @@ def test_members_begin_at_states(mode: str, starts: tuple[list[Any], list[Any]])
         assert infos["is_valid"].tolist() == [True] * 3
         assert list(vector.call("get_state")) == states
         ended = False
-        while (
-            not ended
-        ):  # afterwards Gymnasium resets some members at the next step, unless they begin at states
+        # Afterwards Gymnasium resets some members at the next step, unless they begin at states.
+        while not ended:
             *_, terminations, truncations, _ = vector.step(np.stack(vector.call("expert_action")))
             ended = bool((terminations | truncations).any())
     reset_to_states(vector, states)
@@ -104,22 +100,10 @@ def test_members_begin_at_states(mode: str, starts: tuple[list[Any], list[Any]])
     with pytest.raises(ValueError, match=r"^states must be 3 states, one per member, got 2"):
         reset_to_states(vector, states[:2])
     vector.close()
-
-
-def test_states_need_shared_memory(starts: tuple[list[Any], list[Any]]) -> None:
-    vector = gymnasium.make_vec(ENV_ID, 3, "async", vector_kwargs={"shared_memory": False}, obs_size=32)
+    apart = gymnasium.make_vec(ENV_ID, 3, "async", vector_kwargs={"shared_memory": False}, obs_size=32)
     with pytest.raises(ValueError, match=r"^envs must have shared_memory=True, got shared_memory=False$"):
-        reset_to_states(vector, starts[0])
-    vector.close()
-
-
-def test_members_of_stable_baselines3_begin_at_states(starts: tuple[list[Any], list[Any]]) -> None:
-    states, expected = starts
-    vector = DummyVecEnv([MAKE] * 3)
-    vector.set_options([{"state": state} for state in states])
-    observations: Any = vector.reset()
-    np.testing.assert_array_equal(observations["heightmap"], expected)
-    vector.close()
+        reset_to_states(apart, states)
+    apart.close()
 
 
 # Several tasks
@@ -156,44 +140,32 @@ def test_experts_solve_several_tasks_in_common_spaces(ids: Any, kwargs: Any, seq
 def test_numbers_of_other_tasks_do_not_change_the_result() -> None:
     """The flat task has pxyr, the ramp pxyzrrr; vectors are padded at the end."""
     vector = make_multi_task_vec(OPEN, obs_size=32, observation=["heightmap", "holding"])
-    flat = vector.envs[0]
-    action = np.array([-1.0, 0.1, 0.2, 0.9, 0.3, 0.8, 0.7], np.float32)
-    results = []
+    flat: Any = vector.envs[0]
+    known, results = np.array([-1.0, 0.1, 0.2, 0.3], np.float32), []
     for others in (0.0, 0.5):
         flat.reset(seed=1)
-        action[[3, 5, 6]] = others
+        action = np.insert(known, [3, 4, 4], others)
         results.append(flat.step(action)[0])
     np.testing.assert_equal(*results)
     core = flat.unwrapped
     core.reset(seed=1)
-    alone = core.step(action[[0, 1, 2, 4]])[0]
-    np.testing.assert_array_equal(alone["heightmap"], results[0]["heightmap"])
-    known = action[[0, 1, 2, 4]]
+    np.testing.assert_array_equal(core.step(known)[0]["heightmap"], results[0]["heightmap"])
     np.testing.assert_array_equal(flat.revert_action(known)[[0, 1, 2, 4]], known)
     with pytest.raises(ValueError, match=r"^action must have the shape \(7,\), got \(4,\)"):
-        flat.step(action[[0, 1, 2, 4]])
-    vector.close()
-
-
-def test_vectors_of_tasks_are_padded() -> None:
-    vector = make_multi_task_vec(CLOSE[:2], 2, observation=["state"])
-    sizes = [env.unwrapped.observation_space["state"].shape[0] for env in vector.envs]
-    observations, _ = vector.reset(seed=0)
-    assert sizes[0] == sizes[1] < sizes[2] == sizes[3] == observations["state"].shape[1]
-    assert not observations["state"][:2, sizes[0] :].any() and observations["state"][2:, sizes[0] :].any()
-    vector.close()
+        flat.step(known)
 
 
 def test_members_of_several_tasks_run_in_processes() -> None:
-    made = [
-        make_multi_task_vec(CLOSE[:2], vec_env_cls=kind, obs_size=16) for kind in (SyncVectorEnv, SPAWNED)
-    ]
-    first, second = ([vector.reset(seed=5)[0]] for vector in made)
-    for vector, found in zip(made, (first, second), strict=True):
-        for _ in range(2):
-            found.append(vector.step(np.stack(vector.call("expert_action")))[0])
+    """Equal to those of one process; vectors are padded at the end."""
+    kinds, results = (SyncVectorEnv, partial(AsyncVectorEnv, context="spawn")), []
+    for kind in kinds:
+        vector = make_multi_task_vec(CLOSE[:2], 2, vec_env_cls=kind, observation=["state"])
+        found = [vector.reset(seed=5)[0]["state"]]
+        found.append(vector.step(np.stack(vector.call("expert_action")))[0]["state"])
+        results.append(found)
         vector.close()
-    np.testing.assert_equal(first, second)
+    np.testing.assert_equal(*results)
+    assert not found[0][:2, -3:].any() and found[0][2:, -3:].any()
 
 
 def test_a_member_passes_the_checks_and_is_made_again_from_its_spec() -> None:
@@ -213,11 +185,7 @@ def test_a_member_passes_the_checks_and_is_made_again_from_its_spec() -> None:
         ([], {}, r"ids must be a list of at least one id, got \[\]"),
         (ENV_ID, {}, "ids must be a list of at least one id, got 'BulletArm"),
         ([CLOSE[0], OPEN[0]], {}, "ids must all have one kind of control, got close_loop, open_loop"),
-        (
-            OPEN,
-            {},
-            r"ids must observe 'in_hand' with one type and shape, got \[\(\(1, 24, 24\), 'float32'\), ",
-        ),
+        (OPEN, {}, r"ids must observe 'in_hand' with one type and shape, got .*\(1, 24, 24\)"),
         (CLOSE[:1], {"envs_per_task": 0}, "envs_per_task .*, got 0"),
         (
             CLOSE[:1],

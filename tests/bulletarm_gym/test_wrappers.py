@@ -1,7 +1,9 @@
-"""Observations as one image, for libraries that accept nothing else."""
+"""Wrappers: observations as one image, the action space of the expert, and goals for HER."""
 
+import math
 import pickle
 import warnings
+from functools import partial
 from typing import Any
 
 import gymnasium
@@ -9,11 +11,19 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 from gymnasium.utils.env_checker import check_env as check_gymnasium
-from gymnasium.wrappers import FrameStackObservation
+from gymnasium.wrappers import (
+    ClipAction,
+    DiscretizeAction,
+    FrameStackObservation,
+    RecordEpisodeStatistics,
+    RescaleAction,
+    StickyAction,
+    TransformAction,
+)
 from stable_baselines3.common.env_checker import check_env as check_sb3
 
 import bulletarm_gym  # noqa: F401
-from bulletarm_gym.wrappers import ImageObservation
+from bulletarm_gym.wrappers import GoalObservation, ImageObservation
 
 CLOSE, OPEN = "BulletArm/CloseLoopBlockPicking-v0", "BulletArm/OpenLoopRampBlockStacking-v0"
 HALF_A_COUNT = 0.5 / 255
@@ -61,7 +71,6 @@ def test_image_of_an_environment(env_id: str) -> None:
     heightmap = inner.observe()["heightmap"][0]
     assert np.abs(image[env.channels.index("heightmap")] / 255 - heightmap / 0.4).max() < 1.01 * HALF_A_COUNT
     assert FrameStackObservation(env, 2).reset(seed=0)[0].shape == (2, *image.shape)
-    env.close()
 
 
 def test_resizing_keeps_means_and_positions() -> None:
@@ -79,10 +88,153 @@ def test_resizing_keeps_means_and_positions() -> None:
     assert pickle.loads(pickle.dumps(again)).observation_space == small.observation_space
 
 
-@pytest.mark.parametrize(
-    ("parameters", "size", "message"),
-    [({"observation": "state"}, None, "^env must .*, got 'state'"), ({}, 0, "^size must .*, got 0")],
-)
-def test_image_must_be_possible(parameters: dict[str, Any], size: Any, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        ImageObservation(gymnasium.make(CLOSE, **parameters), size)
+def test_image_must_be_possible() -> None:
+    with pytest.raises(ValueError, match=r"^env must .*, got 'state'"):
+        ImageObservation(gymnasium.make(CLOSE, observation="state"))
+    with pytest.raises(ValueError, match=r"^size must .*, got 0"):
+        ImageObservation(gymnasium.make(CLOSE), 0)
+
+
+# The action space of the expert
+
+
+class Doubled(gymnasium.ActionWrapper):  # type: ignore[type-arg]
+    """A user's wrapper with an inverse."""
+
+    def action(self, action: Any) -> Any:
+        return 2.0 * action
+
+    def revert_action(self, action: Any) -> Any:
+        return action / 2.0
+
+
+rescale = partial(RescaleAction, min_action=np.float32(-3.0), max_action=np.float32(1.0))
+negate = partial(TransformAction, func=np.negative, action_space=None)
+INVERTIBLE: dict[str, list[Any]] = {
+    "none": [RecordEpisodeStatistics],
+    "rescaled twice": [rescale, RecordEpisodeStatistics, partial(rescale, max_action=np.float32(5.0))],
+    "clipped": [ClipAction],
+    "own": [Doubled, rescale],
+}
+OTHERS: dict[str, list[Any]] = {
+    "TransformAction": [negate],
+    "StickyAction": [partial(StickyAction, repeat_action_probability=0.5)],
+    "DiscretizeAction": [rescale, partial(DiscretizeAction, bins=3)],
+}
+
+
+def wrapped(*wrappers: Any) -> Any:
+    env: Any = gymnasium.make(CLOSE, obs_size=16)
+    for wrapper in wrappers:
+        env = wrapper(env)
+    return env
+
+
+@pytest.mark.parametrize("name", INVERTIBLE)
+def test_expert_acts_in_the_outermost_action_space(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    env = wrapped(*INVERTIBLE[name])
+    core = env.unwrapped
+    expert, step, executed = env.get_wrapper_attr("expert_action"), core.step, []
+    env.reset(seed=3)
+    monkeypatch.setattr(core, "step", lambda action: executed.append(action) or step(action))
+    over = False
+    while not over:
+        wanted, action = core.expert_action(), expert()
+        *_, terminated, truncated, info = env.step(action)
+        assert action in env.action_space
+        np.testing.assert_allclose(executed[-1], wanted, atol=1e-6)
+        over = terminated or truncated
+    assert info["is_success"]
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_expert_names_the_wrapper_without_an_inverse(name: str) -> None:
+    env = wrapped(*OTHERS[name])
+    with pytest.raises(ValueError, match=rf"expert_action .*, got {name}\."):
+        RecordEpisodeStatistics(env).get_wrapper_attr("expert_action")
+    assert env.has_wrapper_attr("expert_action")
+
+
+# Goals
+
+TASKS = ("BlockReaching", "BlockPushing", "BlockPulling", "BlockStacking")
+
+
+def goal_env(task: str, **parameters: Any) -> GoalObservation:
+    parameters = {"observation": "state", **parameters}
+    return GoalObservation(gymnasium.make(f"BulletArm/CloseLoop{task}-v0", **parameters))
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_checks_of_gymnasium_and_sb3_are_clean(task: str) -> None:
+    env = goal_env(task)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_sb3(env)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warnings.filterwarnings("ignore", ".*(unwrapped version|infinity).*")
+        check_gymnasium(env, skip_render_check=True)
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_rewards_are_the_success_of_the_task_in_valid_scenes(task: str) -> None:
+    """In every step of the expert, and for all steps at once."""
+    env, rng = goal_env(task), np.random.default_rng(0)
+    for seed in range(4):
+        observation, info = env.reset(seed=seed)
+        steps, rewards, terminated, truncated = [], [], False, False
+        while not (terminated or truncated or sum(rewards) > 2.0):
+            expert = env.get_wrapper_attr("expert_action")()
+            action = env.action_space.sample() if rng.random() < 0.2 else expert
+            observation, reward, terminated, truncated, info = env.step(action)
+            assert reward == float(info["is_success"]) or not info["is_valid"]
+            assert terminated == env.compute_terminated(*_goals(observation), info)
+            steps.append(observation)
+            rewards.append(reward)
+        batch = [np.stack([step[name] for step in steps]) for name in ("achieved_goal", "desired_goal")]
+        assert env.compute_reward(*batch, [info] * len(steps)).tolist() == rewards
+        assert terminated or sum(rewards) > 0.0
+
+
+def _goals(observation: dict[str, Any]) -> tuple[Any, Any]:
+    return observation["achieved_goal"], observation["desired_goal"]
+
+
+def test_episode_continues_after_success_until_the_limit_of_steps() -> None:
+    env = goal_env("BlockReaching", max_steps=7)
+    env.reset(seed=0)
+    ends, rewards = [], []
+    for _ in range(7):
+        _, reward, *end, _ = env.step(env.get_wrapper_attr("expert_action")())
+        ends.append(tuple(end))
+        rewards.append(reward)
+    assert ends == [(False, False)] * 6 + [(False, True)]
+    assert rewards[-1] == 1.0 and 0.0 < sum(rewards) < 7.0
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.step(env.action_space.sample())
+
+
+def test_goals_of_the_tasks_are_positions_and_gaps() -> None:
+    shapes = {}
+    for task in TASKS:
+        env = goal_env(task)
+        observation, _ = env.reset(seed=0)
+        shapes[task] = observation["achieved_goal"].shape
+        scene = env.unwrapped.scene  # type: ignore[attr-defined]
+        if task == "BlockReaching":
+            distance = math.dist(scene.robot.pose.position, scene["cube"].pose.position)
+            assert np.linalg.norm(np.subtract(*_goals(observation))) == pytest.approx(distance)
+        if task == "BlockPulling":
+            assert observation["achieved_goal"] > 0.0 == observation["desired_goal"]
+    assert shapes == dict(zip(TASKS, [(3,), (2,), (1,), (4,)], strict=True))
+
+
+def test_other_tasks_and_images_are_refused() -> None:
+    for task, parameters, message in (
+        ("BlockPicking", {}, r"BlockPicking is not goal-conditioned"),
+        ("DrawerOpening", {}, r"DrawerOpening is not goal-conditioned"),
+        ("BlockReaching", {"observation": "image"}, r"env must observe vectors, got Dict\('heightmap"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            goal_env(task, **parameters)

@@ -1,27 +1,134 @@
-"""Fingers stop at bodies that they touch instead of penetrating them."""
+"""Contacts: a body falls if nothing supports it, and fingers stop at bodies that they touch."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from rollouts import is_open_loop
+from rollouts import PICKING, Make, idle, is_open_loop, step_on
 
+from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, TaskDefaults
 from bulletarm_gym.control import PickPlace
 from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.geometry import Pose
+from bulletarm_gym.geometry import Pose, euler_pose
+from bulletarm_gym.objects import cube
 from bulletarm_gym.robots import ROBOTS
+from bulletarm_gym.scene import ObjectSlot, Scene, scaled
+from bulletarm_gym.scene.predicates import at_rest, on_surface, stacked, touching
 from bulletarm_gym.simulation import Body, BodySpec, Contact
 from bulletarm_gym.simulation.motion import deepest_normal
+from bulletarm_gym.tasks import Task, Waypoint
 
-Make = Callable[..., ManipulationEnv]
+SIDE = 0.05
+HALF = SIDE / 2.0
+KINDS = [(control, surface) for control in (CLOSE_LOOP, OPEN_LOOP) for surface in ("flat", "ramp")]
+SAME = 3e-3
+"""Distance (m) between the end states of both values of ``fast_mode``: contacts are solved in other steps."""
 
-PICKING = "BulletArm/CloseLoopBlockPicking-v0"
+
+class Arranged(Task):
+    """Three cubes that a test lays out; solved if they form one stack."""
+
+    defaults = TaskDefaults(num_objects=3, allowed_objects=(3,), close_loop={"max_steps": 100})
+    controls = (CLOSE_LOOP, OPEN_LOOP)
+    site = (3.0 * SIDE, 3.0 * SIDE)
+    layout: dict[int, Pose] | None = None
+
+    def bodies(self, config: Any) -> list[ObjectSlot]:
+        return [scaled(config, f"cube {number}", cube) for number in range(3)]
+
+    def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
+        for number, pose in (self.layout or {}).items():
+            scene[f"cube {number}"].place(Pose((*self.config.centre, scene.surface.level)).compose(pose))
+
+    def evaluate(self, scene: Scene) -> dict[str, bool]:
+        return {"success": stacked(scene, list(scene)), "is_at_rest": at_rest(scene)}
+
+    def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
+        yield Waypoint(scene.robot.pose, 1.0)
+
+
+def above(height: float, x: float = 0.0) -> Pose:
+    return Pose((x, 0.0, height))
+
+
+STACK = {number: above((number + 0.5) * SIDE) for number in range(3)}
+UNSTABLE: dict[str, dict[int, Pose]] = {
+    "in the air": {0: above(0.125)},
+    "just above the surface": {0: above(HALF + 0.001)},
+    "tilted": {0: euler_pose((0.0, 0.0, 0.1), (0.5, 0.3, 0.2))},
+    "on a corner": {0: euler_pose((0.0, 0.0, 0.04), (0.5, 0.5, 0.0))},
+    "overlapping": {0: above(HALF), 1: above(HALF, 0.01)},
+    "in each other": {0: above(HALF), 1: above(HALF)},
+    "off balance": {0: above(HALF), 1: above(HALF + SIDE, HALF + 0.0003)},
+    "tipping its support": {0: above(HALF), 1: above(HALF + SIDE, 0.02), 2: above(HALF + 2.0 * SIDE, 0.04)},
+}
+
+
+def arranged(make: Make, kind: Any, layout: dict[int, Pose], fast: bool) -> ManipulationEnv:
+    """Return a shared environment of a control and a surface, whose cubes are laid out."""
+    task, (control, surface) = f"{__name__}:Arranged", kind
+    parameters = {"obs_size": 32, "object_scale_range": 1.0, "fast_mode": fast}
+    env = make(PICKING, task=task, control=control, surface=surface, **parameters)
+    env.task.layout = layout
+    return env
+
+
+def positions(env: ManipulationEnv) -> np.ndarray:
+    return np.array([item.pose.position for item in env.scene])
+
+
+def assert_supported(env: ManipulationEnv) -> None:
+    """Assert that all cubes rest on the surface or in contact with each other, none inside another."""
+    items, world = [item for item in env.scene if item is not env.scene.held], env.scene.world
+    assert at_rest(env.scene)
+    for item in items:
+        others = [other for other in items if other is not item]
+        assert on_surface(env.scene, item) or any(touching(env.scene, item, other) for other in others)
+        assert all(world.distance(item.body, other.body, 0.1) > -1.5e-3 for other in others)
+    before = positions(env)
+    env.scene.begin()
+    world.step(120)
+    world.end()
+    assert positions(env) == pytest.approx(before, abs=SAME)
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [(kind, name) for kind in KINDS for name in UNSTABLE if "tipping" not in name or "flat" in kind],
+)
+def test_unstable_cubes_come_to_rest_before_success_is_evaluated(make: Make, kind: Any, name: str) -> None:
+    ends = []
+    for fast in (True, False):
+        env = arranged(make, kind, UNSTABLE[name], fast)
+        _, info = env.reset(seed=0)
+        ends.append(positions(env))
+        assert len(ends[-1]) == 1 or not info["is_success"]
+        assert_supported(env)
+    if len(ends[0]) == 1:
+        assert ends[0] == pytest.approx(ends[1], abs=SAME)
+
+
+@pytest.mark.parametrize("kind", KINDS, ids="-".join)
+def test_stack_falls_without_its_lowest_cube(make: Make, kind: Any) -> None:
+    for fast in (True, False):
+        env = arranged(make, kind, STACK, fast)
+        _, info = env.reset(seed=0)
+        assert info["is_success"] and info["is_at_rest"]
+        (x, *yz), orientation = env.scene["cube 0"].pose
+        env.scene["cube 0"].place(Pose((x + 0.06, *yz), orientation))
+        step_on(env, idle(env))
+        assert env.scene["cube 2"].pose.z - env.scene.surface.level < 2.0 * SIDE
+        assert_supported(env)
+
+
+# Fingers
+
+
 DEEPEST = 3e-3
 """Maximum overlap (m) of the gripper and of the grasped object with a body."""
-PART = BodySpec("part", (), 0.0)
 NEAR = 0.03
 """Maximum distance (m) along each axis between an object and a target of the gripper."""
 
@@ -77,23 +184,6 @@ def test_fingers_stay_out_of_bodies(typical_env: ManipulationEnv) -> None:
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_fingers_stay_out_of_bodies_for_long(make: Make, env_id: str, robot: str) -> None:
     assert play(make(env_id, robot=robot), 60 if is_open_loop(env_id) else 500, seed=1) <= DEEPEST
-
-
-@pytest.mark.parametrize("robot", ROBOTS)
-@pytest.mark.parametrize("opening", [0.0, 1.0])
-def test_finger_pressed_onto_a_cube_stops_above_it(make: Make, robot: str, opening: float) -> None:
-    env, gripper = make(PICKING, robot=robot), ROBOTS[robot].gripper
-    env.reset(seed=0)
-    start = Pose((0.45 + opening * (gripper.stroke + gripper.finger[0]) / 2.0, 0.0, 0.025))
-    env.scene["cube"].place(start)
-    for _ in range(8):
-        *_, info = env.step([2.0 * opening - 1.0, 0.0, 0.0, -1.0, 0.0])
-        assert info["is_valid"] and penetration(env) <= DEEPEST
-    cube = env.scene["cube"].pose
-    assert env.scene.robot.pose.z > 0.05 - DEEPEST
-    assert math.dist(cube.position, start.position) < 4e-3 and cube.tilt < 0.12
-    env.step([2.0 * opening - 1.0, 0.0, 0.0, 1.0, 0.0])
-    assert env.scene.robot.pose.z > 0.09
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
@@ -155,15 +245,11 @@ def test_pressing_arm_slides_in_closed_loop(make: Make) -> None:
     assert penetration(env) <= DEEPEST
 
 
-@pytest.mark.parametrize("depth, normal", [(0.005, (0.0, 0.0, 1.0)), (0.011, (1.0, 0.0, 0.0))])
-def test_the_grasped_object_blocks_only_where_it_is_squeezed(
-    depth: float, normal: tuple[float, float, float]
-) -> None:
+def test_grasped_object_blocks_only_where_it_is_squeezed() -> None:
     """Fingers always overlap it, and its contact must not be the direction in which the arm slides."""
-    arm, held, wall = Body(0, 0, PART), Body(1, 1, PART), Body(2, 2, PART)
-    contacts = [
-        Contact(0, held, (1.0, 0.0, 0.0), -depth, 50.0),
-        Contact(0, wall, (0.0, 0.0, 1.0), -0.003, 120.0),
-    ]
-    world: Any = SimpleNamespace(contacts=lambda _: contacts)
-    assert deepest_normal(world, arm, held) == normal
+    arm, held, wall = (Body(number, number, BodySpec("part", (), 0.0)) for number in range(3))
+    for depth, normal in ((0.005, (0.0, 0.0, 1.0)), (0.011, (1.0, 0.0, 0.0))):
+        grasp = Contact(0, held, (1.0, 0.0, 0.0), -depth, 50.0)
+        contacts = [grasp, Contact(0, wall, (0.0, 0.0, 1.0), -0.003, 120.0)]
+        world: Any = SimpleNamespace(contacts=lambda _, contacts=contacts: contacts)
+        assert deepest_normal(world, arm, held) == normal
