@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from experiments import ALL
+from sweeps import ALL
 
 from bulletarm_gym.benchmarks import BENCHMARKS
 from sb3_extensions.encoders.cnn import plan_stages
