@@ -1,7 +1,7 @@
 """Trainings on a quick environment."""
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -9,34 +9,19 @@ import gymnasium as gym
 import pytest
 import sweeps
 import yaml
+from sweeps import Bench, Refuse, Train
 from toy_env import TOY_ID, ToyEnv
 
 from zoo_configs.cli import main
 
 RUN_NAME = "BulletArm-CloseLoopToy-v0_1"
-# A run of two seconds; -params stands last, so that more of them can follow.
+# A run of two seconds. Further parameters can follow, because a repeated flag replaces values.
 TINY = (
     *("-n", "12", "--eval-freq", "6", "--eval-episodes", "2", "--save-freq", "6"),
     *("--seed", "0", "--device", "cpu", "--num-threads", "1", "--no-progress"),
     *("--env-kwargs", "obs_size:48"),
-    *("-params", "expert_episodes:2", "pretrain_steps:2", "batch_size:4", "buffer_size:100"),
+    *("-params", "expert_episodes:2", "pretrain_steps:2", "buffer_size:100", "-params", "batch_size:4"),
 )
-
-
-def _last_of_each_key(arguments: list[str]) -> list[str]:
-    """Leave out parameters that a later one replaces: the command accepts each key once."""
-    first = arguments.index("-params") + 1
-    keys = [argument.split(":")[0] for argument in arguments]
-    return [
-        argument
-        for index, (key, argument) in enumerate(zip(keys, arguments, strict=True))
-        if index < first or ":" not in argument or key not in keys[index + 1 :]
-    ]
-
-
-Train = Callable[..., int]
-Refuse = Callable[..., str]
-Bench = Callable[..., int]
 
 
 @pytest.fixture(scope="session")
@@ -60,7 +45,7 @@ def train_tiny(toy_id: str) -> Train:
 
     def train(folder: Path, *more: str) -> int:
         names = ["--baseline", "equi_sacfd", "--preset", "cpu", "--env", toy_id, "-f", str(folder)]
-        return main(["train", *names, *_last_of_each_key([*TINY, *more])])
+        return main(["train", *names, *TINY, *more])
 
     return train
 

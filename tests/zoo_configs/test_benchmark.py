@@ -6,7 +6,7 @@ import signal
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import sweeps
 import yaml
-from sweeps import FLAGS, TINY, is_running, jobs_of, same, start, wait_for
+from sweeps import FLAGS, TINY, Bench, is_running, jobs_of, same, start, wait_for
 
 from bulletarm_gym.benchmarks import BENCHMARKS
 from zoo_configs.benchmarking import cluster
@@ -32,7 +32,6 @@ from zoo_configs.training.state import State, run_lock, run_status, set_status
 
 PICKING = "BulletArm/CloseLoopBlockPicking-v0"
 EXAMPLES = sorted((sweeps.ROOT / "examples" / "benchmarks").glob("*.yml"))
-Bench = Callable[..., int]
 pytestmark = pytest.mark.usefixtures("toys")
 
 

@@ -1,9 +1,6 @@
 """Hyperparameters of experiments: the golden file, the paper's numbers, the order of merging, the flags."""
 
-import contextlib
-import itertools
 import os
-from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -22,10 +19,10 @@ from zoo_configs.commands.train import build_parser
 from zoo_configs.environments import make_env, our_env_ids
 from zoo_configs.errors import CommandError
 from zoo_configs.experiments.config import ExperimentConfig, explain, explained_yaml, merge, resolve
-from zoo_configs.experiments.families import Case, Family, families, parse_family
+from zoo_configs.experiments.families import Case, families, parse_family
 from zoo_configs.experiments.flags import find_experiment
 from zoo_configs.experiments.validation import check_experiment
-from zoo_configs.files import parse_yaml
+from zoo_configs.files import Dumper, parse_yaml
 from zoo_configs.training.options import TrainingOptions
 
 GOLDEN_FILE = Path(__file__).with_name("golden_experiments.yml")
@@ -78,13 +75,6 @@ def hyperparams_of(*names: Any) -> dict[str, Any]:
 # ---- Golden file
 
 
-class PlainDumper(yaml.SafeDumper):
-    """Dumper that repeats equal values instead of referring to them."""
-
-    def ignore_aliases(self, data: Any) -> bool:
-        return True
-
-
 def resolved(baseline: str, preset: str, task: str, benchmark: str | None = None) -> dict[str, Any]:
     """Return all values of an experiment."""
     found = resolve(baseline, preset, f"BulletArm/{task}-v0", benchmark=benchmark)
@@ -95,7 +85,7 @@ def test_resolved_experiments_equal_the_golden_file() -> None:
     """A changed value is a readable diff."""
     found = {" ".join(names): resolved(*names) for names in EXPERIMENTS}
     if os.environ.get(WRITE):
-        text = yaml.dump(found, Dumper=PlainDumper, default_flow_style=None, width=110)
+        text = yaml.dump(found, Dumper=Dumper, default_flow_style=None, width=110)
         GOLDEN_FILE.write_text(text, encoding="utf-8")
     assert found == yaml.safe_load(GOLDEN_FILE.read_text(encoding="utf-8"))
 
@@ -103,43 +93,6 @@ def test_resolved_experiments_equal_the_golden_file() -> None:
 def test_every_experiment_is_valid() -> None:
     for names in ALL:
         check_experiment(resolve(*names))
-
-
-@pytest.mark.parametrize("family", families(), ids=lambda family: family.name)
-def test_every_section_is_used(family: Family) -> None:
-    used: set[str] = set()
-    tasks, benchmarks = filter(family.has_env, our_env_ids()), (None, *family.benchmarks)
-    for names in itertools.product(family.baselines, family.presets, tasks, benchmarks):
-        with contextlib.suppress(CommandError):
-            used |= {layer.source.partition(", ")[2] for layer in family.layers(family.case(*names))}
-    assert set(sections_of(family.sections, "")) <= used
-
-
-def sections_of(section: Any, where: str) -> Iterator[str]:
-    """Yield the names of all sections with values."""
-    if isinstance(section, list):
-        for part in section:
-            yield from sections_of(part, where)
-        return
-    if section.keys() & {"algo", "set", "flags"}:
-        yield where
-    if "defaults" in section:
-        yield from sections_of(section["defaults"], "defaults")
-    for axis in ("benchmarks", "networks", "learners", "additions", "tasks", "presets"):
-        for name, part in section.get(axis, {}).items():
-            yield from sections_of(part, f"{where}.{axis}.{name}".removeprefix("."))
-
-
-def test_an_unknown_key_of_a_section_is_named() -> None:
-    data = {
-        "envs": "*",
-        "baselines": {"sac": ["sac", "cnn"]},
-        "presets": {"cpu": {}},
-        "defaults": {"sets": {}},
-    }
-    family = parse_family("mine", yaml.safe_dump(data))
-    with pytest.raises(CommandError, match="'sets', did you mean 'set'"):
-        list(family.layers(Case("cpu", PICKING, None, family.baselines["sac"])))
 
 
 @pytest.mark.parametrize("env_id", our_env_ids())
@@ -263,17 +216,16 @@ def test_layers_have_a_fixed_order() -> None:
     assert layers[-1].source == "mine.yml, presets.cpu.tasks.Toy.networks.cnn"
     other = list(family.layers(Case("cpu", "Any/Other-v0", None, family.baselines["sacfd"])))
     assert [layer.hyperparams["gamma"] for layer in other[1:]] == [0.0, 0.1, 0.4, 0.5]
+    family = parse_family("mine", yaml.safe_dump({**content, "defaults": {"sets": {}}}))
+    with pytest.raises(CommandError, match="'sets', did you mean 'set'"):
+        list(family.layers(Case("cpu", PICKING, None, family.baselines["sacfd"])))
 
 
 def test_overrides_are_merged_last_and_shared_with_nothing() -> None:
     overrides = {"learning_rate": 0.5, "env_kwargs": {"action_sequence": "xyzp"}}
     hyperparams = hyperparams_of("equi_sacfd", "cpu", PICKING, overrides)
     assert hyperparams["learning_rate"] == 0.5
-    assert hyperparams["env_kwargs"] == {
-        **hyperparams["env_kwargs"],
-        "action_sequence": "xyzp",
-        "obs_size": 64,
-    }
+    assert hyperparams["env_kwargs"].items() >= {"action_sequence": "xyzp", "obs_size": 64}.items()
     assert hyperparams["policy_kwargs"]["action_sequence"] == "xyzp"  # it follows the environment
     hyperparams["env_kwargs"]["obs_size"] = 1
     assert hyperparams_of("equi_sacfd", "cpu", PICKING)["env_kwargs"]["obs_size"] == 64
@@ -297,9 +249,7 @@ def test_a_grid_of_actions_covers_the_yaws_and_the_workspace() -> None:
 @pytest.mark.parametrize("size", [16, 48, 64, 128, 224])
 @pytest.mark.parametrize("baseline", ["sacfd", "equi_sacfd", "drq_sac"])
 def test_presets_fit_the_image_size(baseline: str, size: int) -> None:
-    experiment = experiment_of(
-        f"--baseline {baseline} --env PICKING --preset cpu --env-kwargs obs_size:{size}"
-    )
+    experiment = resolve(baseline, "cpu", PICKING, {"env_kwargs": {"obs_size": size}})
     check_experiment(experiment)
     encoder = experiment.hyperparams["policy_kwargs"]["features_extractor_kwargs"]
     plan_stages(size, len(encoder["channels"]), encoder["strided"])
@@ -371,27 +321,14 @@ def test_stock_algorithms_have_a_policy_for_our_observations(algo: str) -> None:
     check_experiment(experiment)
     assert experiment.hyperparams["policy"] == "MultiInputPolicy"
     assert experiment.hyperparams["policy_kwargs"]["features_extractor_class"].endswith(".CnnExtractor")
-
-
-def test_other_observations_and_chosen_policies_have_no_extractor_for_images() -> None:
-    states = experiment_of("--algo ppo --env PICKING --env-kwargs observation:state").hyperparams
+    states = experiment_of(f"--algo {algo} --env STACKING --env-kwargs observation:state").hyperparams
     assert states["policy"] == "MultiInputPolicy" and "policy_kwargs" not in states
-    assert experiment_of("--algo ppo --env Pendulum-v1").hyperparams["policy"] == "MlpPolicy"
-    chosen = experiment_of("--algo ppo --env PICKING -params policy:CnnPolicy").hyperparams
+    assert experiment_of(f"--algo {algo} --env Pendulum-v1").hyperparams["policy"] == "MlpPolicy"
+    chosen = experiment_of(f"--algo {algo} --env STACKING -params policy:CnnPolicy").hyperparams
     assert chosen["policy"] == "CnnPolicy"
 
 
 def test_values_are_yaml_of_version_1_2() -> None:
-    line = (
-        "--algo ppo --env Pendulum-v1 -params a:1e-3 b:no c:12:30 d:[1,x] e:None f:true --env-kwargs g:panda"
-    )
-    values = {
-        "a": 0.001,
-        "b": "no",
-        "c": "12:30",
-        "d": [1, "x"],
-        "e": None,
-        "f": True,
-        "env_kwargs": {"g": "panda"},
-    }
-    assert experiment_of(line).overrides == values
+    line = "--algo ppo --env Pendulum-v1 -params a:1e-3 b:no c:12:30 d:[1,x] e:None f:true"
+    values = {"a": 0.001, "b": "no", "c": "12:30", "d": [1, "x"], "e": None, "f": True}
+    assert experiment_of(f"{line} --env-kwargs g:panda").overrides == {**values, "env_kwargs": {"g": "panda"}}

@@ -6,19 +6,17 @@ import re
 import shlex
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
-from sweeps import PATH, TINY
+from sweeps import PATH, TINY, Refuse
 
 from zoo_configs.cli import main
-from zoo_configs.errors import CommandError, nearest_name
+from zoo_configs.errors import CommandError
 from zoo_configs.training import options
 
-Refuse = Callable[..., str]
 TRAIN = "train --baseline sacfd --preset cpu --env TOY --device cpu"
 TUNE = "tune --baseline sacfd --preset quick --env TOY --env-kwargs obs_size:48"
 DEMOS = "demos --env REACHING"
@@ -233,10 +231,3 @@ def test_a_reader_that_stops_gets_no_traceback() -> None:
     with process.stderr as errors:
         assert errors.read() == b""
     assert process.wait() == 141
-
-
-def test_the_nearest_name_ignores_case_and_namespace() -> None:
-    picking = NAMES["REACHING"].replace("Reaching", "Picking")
-    assert nearest_name("bulletarm/closeloopblockpicking-v0", [picking, "CartPole-v1"]) == picking
-    assert nearest_name("CloseLoopBlockPecking", [picking, "CartPole-v1"]) == picking
-    assert nearest_name("qqq", [picking]) is None

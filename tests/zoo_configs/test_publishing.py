@@ -4,7 +4,6 @@ import json
 import re
 import shutil
 import zipfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -16,6 +15,7 @@ import yaml
 from scipy import stats
 from stable_baselines3 import SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
+from sweeps import Refuse
 from torch import nn
 
 from sb3_extensions.ferm import FERM
@@ -28,7 +28,6 @@ from zoo_configs.publishing import packing
 from zoo_configs.publishing.compact import save_compact, stored_weights
 from zoo_configs.publishing.published import Published, published_agents, read_card
 
-Refuse = Callable[..., str]
 FILE = "sacfd-BulletArm-CloseLoopToy-v0.zip"
 FILES = {FILE, "card.json", "README.md"}
 SNIPPET = re.compile(r"```python\n(.*?)```", re.DOTALL)

@@ -5,7 +5,6 @@ import shlex
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ import pytest
 import torch
 from gymnasium import spaces
 from PIL import Image
+from sweeps import Refuse
 
 from bulletarm_gym.check.machine import describe_processor
 from zoo_configs import provenance
@@ -37,7 +37,6 @@ PICKING, REACHING = "BulletArm/CloseLoopBlockPicking-v0", "BulletArm/CloseLoopBl
 SMALL = {"obs_size": 48}
 OVERRIDES = {"expert_episodes": 7, "replay_buffer_kwargs": {"expert_fraction": 0.4}, "env_kwargs": SMALL}
 GOOD = [[False] * 4, [True, True, False, True], [True, True, True, False]]
-Refuse = Callable[..., str]
 
 
 # ---- Lists

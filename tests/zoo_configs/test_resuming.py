@@ -3,13 +3,12 @@
 import errno
 import os
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import pytest
-from sweeps import same
+from sweeps import Refuse, Train, same
 
 from sb3_extensions.common import checkpoint
 from sb3_extensions.sacfd import SACfD
@@ -19,8 +18,6 @@ from zoo_configs.cli import main
 
 RUN_NAME = "BulletArm-CloseLoopToy-v0_1"
 STACKING = "BulletArm/OpenLoopBlockStacking-v0"
-Train = Callable[..., int]
-Refuse = Callable[..., str]
 
 
 # ---- Resuming
