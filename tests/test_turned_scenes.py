@@ -15,25 +15,18 @@ from bulletarm_gym.geometry import Pose
 from sb3_extensions.replay.rotation import rotate_images
 from sb3_extensions.replay.samples import ExpertReplayBufferSamples
 from sb3_extensions.sacfd import SACfD
-from sb3_extensions.spatial_dqn import EquivariantASRPolicy, EquivariantFCNPolicy, RotFCNPolicy
+from sb3_extensions.spatial_dqn import EquivariantASRPolicy
 from sb3_extensions.spatial_dqn.augmentation import RigidMotion
 from sb3_extensions.spatial_dqn.codec import SpatialActionCodec
-from sb3_extensions.spatial_dqn.policies import SpatialPolicy
 
 CLOSE_LOOP = [f"BulletArm/CloseLoopBlock{name}-v0" for name in ("Picking", "Pulling")]
 OPEN_LOOP = "BulletArm/OpenLoopHouseBuilding2-v0"
 SIZE, SIDE, YAWS = 48, 12, 4
 TOLERANCE = 1e-4
 ACTION = np.array([0.3, 0.7, -0.4, 0.2, 0.6], np.float32)
-EQUIVARIANT = {"fields": [4, 4, 6], "in_hand_channels": [4, 4, 6, 6]}
-NETWORKS: dict[str, tuple[type[SpatialPolicy], dict[str, Any]]] = {
-    "ASR": (
-        EquivariantASRPolicy,
-        {**EQUIVARIANT, "hidden": [16, 16], "patch_fields": [4, 4, 6, 4], "pool_encoding": True}
-        | {"patch_channels": [4, 4, 6, 6], "patch_hidden": [16, 8]},
-    ),
-    "FCN": (EquivariantFCNPolicy, {**EQUIVARIANT, "hidden": 16}),
-    "Rot FCN": (RotFCNPolicy, {"channels": [4, 6, 8], "in_hand_channels": [4, 4, 6]}),
+NETWORK = {
+    **{"fields": [4, 4, 6], "in_hand_channels": [4, 4, 6, 6], "hidden": [16, 16], "pool_encoding": True},
+    **{"patch_fields": [4, 4, 6, 4], "patch_channels": [4, 4, 6, 6], "patch_hidden": [16, 8]},
 }
 Observation = dict[str, Any]
 
@@ -128,16 +121,15 @@ def test_rotated_samples_equal_a_rotated_scene(env: Any, angle: float) -> None:
 # Networks and samples of open-loop control
 
 
-def make_policy(env: Any, kind: str, sequence: str = "pxyr") -> SpatialPolicy:
+def make_policy(env: Any, sequence: str) -> EquivariantASRPolicy:
     """Return random networks for the observations of an environment."""
-    policy, network_kwargs = NETWORKS[kind]
     parts = dict(env.observation_space.spaces)
     parts["in_hand"] = spaces.Box(0.0, 0.4, (1 if sequence == "pxyr" else 3, SIDE, SIDE), np.float32)
     kwargs: dict[str, Any] = {"codec_kwargs": {"num_rotations": YAWS}, "standardise": (0.0, 0.02)}
+    kwargs |= {"action_sequence": sequence, "network_kwargs": NETWORK, "quantise": None}
     th.manual_seed(0)
     actions = spaces.Box(-1.0, 1.0, (len(sequence),), np.float32)
-    kwargs |= {"action_sequence": sequence, "network_kwargs": network_kwargs, "quantise": None}
-    return policy(spaces.Dict(parts), actions, lambda _: 0.0, **kwargs)
+    return EquivariantASRPolicy(spaces.Dict(parts), actions, lambda _: 0.0, **kwargs)
 
 
 def batches(env: Any, angle: float, mirror: bool = False, channels: int = 1) -> list[dict[str, th.Tensor]]:
@@ -153,33 +145,20 @@ def assert_same(found: th.Tensor, expected: th.Tensor) -> None:
         assert sample.std() > 0 and (other - sample).abs().max() < TOLERANCE * sample.std()
 
 
-@pytest.mark.parametrize(
-    ("kind", "quarters", "mirror"),
-    [("ASR", 1, False), ("ASR", 0, True), ("ASR", 3, True), ("FCN", 1, False), ("FCN", 2, False)],
-)
-def test_maps_rotate_with_the_scene(open_loop: Any, kind: str, quarters: int, mirror: bool) -> None:
-    """The yaws of a network with one map a yaw shift."""
-    before, after = maps(open_loop, kind, quarters, mirror)
-    expected = th.rot90(before, quarters, (2, 3)).roll(quarters * YAWS // 2 if kind == "FCN" else 0, dims=1)
-    assert_same(after, expected.flip(3) if mirror else expected)
-
-
-def test_network_with_rotated_input_shifts_half_of_its_yaws(open_loop: Any) -> None:
-    before, after = maps(open_loop, "Rot FCN", 1, mirror=False)
-    assert_same(after[:, YAWS // 2 :], th.rot90(before[:, : YAWS // 2], 1, (2, 3)))
-
-
-def maps(env: Any, kind: str, quarters: int, mirror: bool) -> list[th.Tensor]:
-    policy = make_policy(env, kind)
+@pytest.mark.parametrize(("quarters", "mirror"), [(1, False), (0, True), (3, True)])
+def test_maps_rotate_with_the_scene(open_loop: Any, quarters: int, mirror: bool) -> None:
+    policy = make_policy(open_loop, "pxyr")
     with th.no_grad():
-        views = [policy.q_net.scene_view(batch) for batch in batches(env, quarters * math.pi / 2, mirror)]
-        return [policy.q_net.pixel_maps(view)[0] for view in views]
+        views = [policy.q_net.scene_view(one) for one in batches(open_loop, quarters * math.pi / 2, mirror)]
+        before, after = (policy.q_net.pixel_maps(view)[0] for view in views)
+    expected = th.rot90(before, quarters, (2, 3))
+    assert_same(after, expected.flip(3) if mirror else expected)
 
 
 def test_all_levels_rotate_with_the_scene(open_loop: Any) -> None:
     """Yaws shift; heights and tilts do not change if the gripper need not be rotated by pi."""
     before, after = batches(open_loop, math.pi / 2, channels=3)
-    policy = make_policy(open_loop, "ASR", "pxyzrrr")
+    policy = make_policy(open_loop, "pxyzrrr")
     highest = before["heightmap"].flatten(1).argmax(dim=1)
     indices = th.stack([highest // SIZE, highest % SIZE, *th.tensor([[1, 0], [3, 1], [5, 2], [1, 4]])], dim=1)
     rotated = indices.clone()

@@ -47,32 +47,23 @@ def kernel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     return KERNEL
 
 
-def execute(name: str, constants: str, kernel: str, folder: Path) -> tuple[str, int]:
-    """Execute a notebook and return its text output and the number of its images.
-
-    :param constants: source that replaces the cell with the tag "parameters"
-    """
-    notebook = nbformat.read(ROOT / "examples" / "tutorials" / f"{name}.ipynb", as_version=4)
-    for cell in notebook.cells:
-        if "parameters" in cell.metadata.get("tags", []):
-            cell.source = constants
-    folder.mkdir()
-    resources = {"metadata": {"path": str(folder)}}
-    NotebookClient(notebook, kernel_name=kernel, resources=resources, timeout=1200).execute()
-    outputs = [output for cell in notebook.cells for output in cell.get("outputs", [])]
-    text = "".join(output.text for output in outputs if output.output_type == "stream")
-    images = [output for output in outputs if "image/png" in output.get("data", {})]
-    return text.replace("\r\n", "\n"), len(images)
-
-
 @pytest.mark.parametrize(
     ("name", "constants", "pattern"),
     [pytest.param(*run, id=run[0], marks=[pytest.mark.slow] if run is not RUNS[0] else []) for run in RUNS],
 )
 def test_notebook_runs(name: str, constants: str, pattern: str, kernel: str, tmp_path: Path) -> None:
-    text, images = execute(name, constants, kernel, tmp_path / "work")
-    assert re.search(pattern, text), text
-    assert images >= 1
+    """With the constants in place of the cell with the tag "parameters"."""
+    notebook = nbformat.read(ROOT / "examples" / "tutorials" / f"{name}.ipynb", as_version=4)
+    for cell in notebook.cells:
+        if "parameters" in cell.metadata.get("tags", []):
+            cell.source = constants
+    (folder := tmp_path / "work").mkdir()
+    resources = {"metadata": {"path": str(folder)}}
+    NotebookClient(notebook, kernel_name=kernel, resources=resources, timeout=1200).execute()
+    outputs = [output for cell in notebook.cells for output in cell.get("outputs", [])]
+    text = "".join(output.text for output in outputs if output.output_type == "stream")
+    assert re.search(pattern, text.replace("\r\n", "\n")), text
+    assert any("image/png" in output.get("data", {}) for output in outputs)
 
 
 def test_every_notebook_is_executed_and_described() -> None:
@@ -87,12 +78,8 @@ def test_notebook_is_stored_without_outputs(path: Path) -> None:
     content = json.loads(path.read_text(encoding="utf-8"))
     assert path.read_text(encoding="utf-8") == json.dumps(content, indent=1, ensure_ascii=False) + "\n"
     nbformat.validate(content)
-    assert content["metadata"] == {
-        "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
-        "language_info": {"name": "python"},
-    }
+    assert content["metadata"]["kernelspec"]["name"] == "python3"
     cells = content["cells"]
-    assert all(re.fullmatch(r"[a-z-]+", cell["id"]) for cell in cells)
     code = [cell for cell in cells if cell["cell_type"] == "code"]
     assert all(cell["outputs"] == [] and cell["execution_count"] is None for cell in code)
     assert all(len(cell["source"]) <= MAX_LINES for cell in code)

@@ -56,22 +56,18 @@ def test_a_training_starts_with_the_file_and_resumes_without_it(
     assert main(["train", "--resume", str(run), "-n", "6", "--no-progress"]) == 0
 
 
-@pytest.mark.parametrize(
-    ("more", "texts"),
-    [
+def test_demonstrations_of_another_environment_are_refused(
+    picking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for more, texts in (
         ([], ("'obs_size': 48", "'obs_size': 64")),
         ([*SMALL, "--env", REACHING], (PICKING, REACHING)),
         ([*SMALL, "--env-kwargs", "max_steps:9"], ("'max_steps': 50", "'max_steps': 9")),
         ([*SMALL, "--env-kwargs", "action_sequence:xyzrp"], ("'pxyzr'", "'xyzrp'")),
-    ],
-    ids=str,
-)
-def test_demonstrations_of_another_environment_are_refused(
-    more: list[str], texts: tuple[str, str], picking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert train(tmp_path, picking, *more) == 2
-    message = capsys.readouterr().err
-    assert all(text in message for text in texts)
+    ):
+        assert train(tmp_path, picking, *more) == 2
+        message = capsys.readouterr().err
+        assert all(text in message for text in texts)
     assert not list(tmp_path.iterdir())
 
 

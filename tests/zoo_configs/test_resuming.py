@@ -52,22 +52,18 @@ def test_a_damaged_checkpoint_is_replaced_by_the_one_before(
     assert "model.zip" in refuse("train", "--resume", str(damaged), "-n", "24")
 
 
-@pytest.mark.parametrize(
-    ("words", "text"),
-    [
+def test_a_run_that_cannot_be_resumed_is_one_line(run_folder: Path, refuse: Refuse) -> None:
+    fixed = ("--seed", "--baseline", "--env", "--benchmark", "--log-folder")
+    for words, text in (
         ("", "12 of 12 steps"),
         ("-n 18 --eval-episodes 3", "eval_episodes must be 2"),
         ("-n 18 --device cuda:99", "'cuda:99'"),
-        *((f"{flag} 0", flag) for flag in ("--seed", "--baseline", "--env", "--benchmark", "--log-folder")),
+        *((f"{flag} 0", flag) for flag in fixed),
         ("-params gamma:0.5", "--hyperparams"),
         ("--env-kwargs obs_size:64", "--env-kwargs"),
         ("-i model.zip", "--trained-agent"),
-    ],
-)
-def test_a_run_that_cannot_be_resumed_is_one_line(
-    words: str, text: str, run_folder: Path, refuse: Refuse
-) -> None:
-    assert text in refuse("train", "--resume", str(run_folder), *words.split())
+    ):
+        assert text in refuse("train", "--resume", str(run_folder), *words.split())
 
 
 def test_a_full_disk_leaves_no_half_checkpoint(
@@ -108,14 +104,13 @@ def test_a_run_without_a_model_is_skipped(
 # ---- Models
 
 
-@pytest.mark.parametrize("damage", ["cut", "empty", "foreign"])
-def test_a_damaged_model_is_named(damage: str, run_folder: Path, tmp_path: Path, refuse: Refuse) -> None:
+def test_a_damaged_model_is_named(run_folder: Path, tmp_path: Path, refuse: Refuse) -> None:
     shutil.copytree(run_folder, folder := tmp_path / RUN_NAME)
     content = (folder / "best_model.zip").read_bytes()
-    damaged = {"cut": content[: len(content) // 2], "empty": b"", "foreign": b"no archive"}
-    (folder / "best_model.zip").write_bytes(damaged[damage])
-    for command in ("enjoy", "record"):
-        assert "best_model.zip" in refuse(command, str(folder))
+    for damaged in content[: len(content) // 2], b"", b"no archive":
+        (folder / "best_model.zip").write_bytes(damaged)
+        for command in ("enjoy", "record"):
+            assert "best_model.zip" in refuse(command, str(folder))
 
 
 def test_an_agent_needs_its_observations(run_folder: Path, refuse: Refuse) -> None:
@@ -141,14 +136,11 @@ def test_training_starts_from_a_model_with_other_hyperparameters(
 @pytest.mark.parametrize(
     ("name", "env_id", "policy"),
     [
-        *(
-            (name, "Pendulum-v1", "MlpPolicy")
-            for name in ("a2c", "crossq", "ppo", "sac", "td3", "tqc", "trpo")
-        ),
-        *((name, "CartPole-v1", "MlpPolicy") for name in ("dqn", "qrdqn")),
-        ("ppo_lstm", "Pendulum-v1", "MlpLstmPolicy"),
-        *((name, "TOY", "MultiInputPolicy") for name in ("sacfd", "tqcfd", "ferm")),
-        ("sdqfd", STACKING, "FCNPolicy"),
+        *((name, "Pendulum-v1", "Mlp") for name in ("a2c", "crossq", "ppo", "sac", "td3", "tqc", "trpo")),
+        *((name, "CartPole-v1", "Mlp") for name in ("dqn", "qrdqn")),
+        ("ppo_lstm", "Pendulum-v1", "MlpLstm"),
+        *((name, "TOY", "MultiInput") for name in ("sacfd", "tqcfd", "ferm")),
+        ("sdqfd", STACKING, "FCN"),
     ],
 )
 def test_a_model_file_is_recognized(
@@ -162,13 +154,12 @@ def test_a_model_file_is_recognized(
     size = {"TOY": {"obs_size": 48}, STACKING: {"obs_size": 32}}.get(env_id, {})
     env = gym.make(env_id.replace("TOY", toy_id), **size)
     file = str(tmp_path / "model.zip")
-    algorithm_classes()[name](policy, env, **kwargs).save(file)
+    algorithm_classes()[name](f"{policy}Policy", env, **kwargs).save(file)
     env.close()
     # The open-loop algorithms differ in their losses only.
     assert algorithm_of(Path(file)) in ({"adet", "dqfd", "sdqfd"} if name == "sdqfd" else {name})
-    if env_id in ("TOY", "CartPole-v1"):
-        words = [file, "--env", env_id.replace("TOY", toy_id), "-n", "1", "--device", "cpu"]
-        words += ["--env-kwargs", "obs_size:48"] if env_id == "TOY" else []
+    if env_id == "TOY":
+        words = [file, "--env", toy_id, "-n", "1", "--device", "cpu", "--env-kwargs", "obs_size:48"]
         assert main(["enjoy", *words]) == main(["enjoy", *words, "--algo", name]) == 0
         assert "'sacc'" in refuse("enjoy", *words, "--algo", "sacc")
 
