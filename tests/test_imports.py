@@ -68,12 +68,11 @@ def _imported(path: Path) -> Iterator[str]:
 def _own(path: Path) -> set[str]:
     """Modules and subpackages of ``bulletarm_gym`` that a file imports; other names are of ``__init__``."""
     names = {name.split(".")[1] for name in _imported(path) if name.startswith("bulletarm_gym.")}
-    return {name if (GYM / name).is_dir() or (GYM / f"{name}.py").exists() else "__init__" for name in names}
+    return {name if name in LEVEL else "__init__" for name in names}
 
 
-def _files() -> list[tuple[str, Path]]:
-    """Files of ``bulletarm_gym`` with their module or subpackage."""
-    return [(path.relative_to(GYM).parts[0].removesuffix(".py"), path) for path in sorted(GYM.rglob("*.py"))]
+FILES = [(path.relative_to(GYM).parts[0].removesuffix(".py"), path) for path in sorted(GYM.rglob("*.py"))]
+"""Files of ``bulletarm_gym`` with their module or subpackage."""
 
 
 @pytest.mark.parametrize("package", FORBIDDEN)
@@ -87,7 +86,7 @@ def test_packages_import_one_way(package: str) -> None:
 
 def test_modules_import_one_way() -> None:
     graph: dict[str, set[str]] = {}
-    for module, path in _files():
+    for module, path in FILES:
         imported = _own(path)
         assert all(LEVEL[name] <= LEVEL[module] for name in imported), f"{path} imports {imported}"
         graph.setdefault(module, set()).update(imported - {module})
@@ -95,7 +94,7 @@ def test_modules_import_one_way() -> None:
 
 
 def test_only_simulation_uses_the_engine() -> None:
-    for module, path in _files():
+    for module, path in FILES:
         if module != "simulation":
             attributes = {node.attr for node in ast.walk(_tree(path)) if isinstance(node, ast.Attribute)}
             assert not {name.split(".")[0] for name in _imported(path)} & ENGINE, path

@@ -6,8 +6,8 @@ import runpy
 import subprocess
 import sys
 import venv
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
@@ -25,15 +25,11 @@ for name in ("nms", "qnms"):
 """
 
 
-@dataclass(frozen=True)
-class Library:
-    """Requirements and output of a script.
+class Library(NamedTuple):
+    """Missing module if the library is not installed, pattern of the output, and requirements of a script.
 
-    :param module: module that is missing if the library is not installed
-    :param output: pattern of its output
-    :param packages: requirements to install
-    :param bare: requirements to install without their dependencies
-    :param unpinned: packages in other versions than those of constraints.txt
+    Those in ``bare`` are installed without their dependencies, those in ``unpinned`` in other versions than
+    those of constraints.txt.
     """
 
     module: str

@@ -130,8 +130,7 @@ def test_what_is_not_installed_names_its_extra(run: Run, extra: str) -> None:
 
 
 def test_command_line_runs_a_published_agent_with_its_extra_alone(run: Run, unpacked: Path) -> None:
-    command = ("-m", "zoo_configs.cli", "enjoy", "--published", "CloseLoopBlockReaching", "-n", "1")
-    ran = run("zoo", *command)
+    ran = run("zoo", "-m", "zoo_configs.cli", "enjoy", "--published", "CloseLoopBlockReaching", "-n", "1")
     assert ran.returncode == 0, ran.stderr
     assert str(unpacked) in ran.stdout  # that agent, not the checkout's
     assert ran.stdout.strip().endswith("success_rate=1.00 episodes=1")
@@ -140,12 +139,9 @@ def test_command_line_runs_a_published_agent_with_its_extra_alone(run: Run, unpa
 def test_tested_versions_take_every_python_3_11() -> None:
     """A version that asks for a later patch than a distribution's (Debian 12: 3.11.2) breaks `make test`."""
     lines = (ROOT / "constraints.txt").read_text().splitlines()
-    names = [Requirement(line).name for line in lines if line and not line.startswith("#")]
+    names = {Requirement(line).name.lower() for line in lines if line and not line.startswith("#")}
     known = {distribution.name.lower(): distribution.metadata for distribution in metadata.distributions()}
-    needed = {
-        name: known[name.lower()].json.get("requires_python") for name in names if name.lower() in known
-    }
-    assert len(needed) > len(names) / 2
-    assert {
-        name for name, python in needed.items() if "3.11.0" not in SpecifierSet(str(python or ""))
-    } == set()
+    assert len(names & known.keys()) > len(names) / 2
+    for name in names & known.keys():
+        python = known[name].json.get("requires_python")
+        assert "3.11.0" in SpecifierSet(str(python or "")), name

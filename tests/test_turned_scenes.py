@@ -13,11 +13,8 @@ from gymnasium import spaces
 import bulletarm_gym  # noqa: F401  registers the environments
 from bulletarm_gym.geometry import Pose
 from sb3_extensions.replay.rotation import rotate_images
-from sb3_extensions.replay.samples import ExpertReplayBufferSamples
 from sb3_extensions.sacfd import SACfD
 from sb3_extensions.spatial_dqn import EquivariantASRPolicy
-from sb3_extensions.spatial_dqn.augmentation import RigidMotion
-from sb3_extensions.spatial_dqn.codec import SpatialActionCodec
 
 CLOSE_LOOP = [f"BulletArm/CloseLoopBlock{name}-v0" for name in ("Picking", "Pulling")]
 OPEN_LOOP = "BulletArm/OpenLoopHouseBuilding2-v0"
@@ -118,26 +115,7 @@ def test_rotated_samples_equal_a_rotated_scene(env: Any, angle: float) -> None:
     assert math.isclose(angles[errors.argmin()], angle) and errors.min() < 0.4 * np.median(errors)
 
 
-# Networks and samples of open-loop control
-
-
-def make_policy(env: Any, sequence: str) -> EquivariantASRPolicy:
-    """Return random networks for the observations of an environment."""
-    parts = dict(env.observation_space.spaces)
-    parts["in_hand"] = spaces.Box(0.0, 0.4, (1 if sequence == "pxyr" else 3, SIDE, SIDE), np.float32)
-    kwargs: dict[str, Any] = {"codec_kwargs": {"num_rotations": YAWS}, "standardise": (0.0, 0.02)}
-    kwargs |= {"action_sequence": sequence, "network_kwargs": NETWORK, "quantise": None}
-    th.manual_seed(0)
-    actions = spaces.Box(-1.0, 1.0, (len(sequence),), np.float32)
-    return EquivariantASRPolicy(spaces.Dict(parts), actions, lambda _: 0.0, **kwargs)
-
-
-def batches(env: Any, angle: float, mirror: bool = False, channels: int = 1) -> list[dict[str, th.Tensor]]:
-    """Return two samples of each scene: with an empty and with a holding gripper."""
-    in_hand = 0.05 * th.rand(1, 3, SIDE, SIDE, generator=th.Generator().manual_seed(0))
-    shared = {"in_hand": in_hand.expand(2, -1, -1, -1)[:, :channels], "holding": th.tensor([[0.0], [1.0]])}
-    images = [seen["heightmap"] for seen in look_twice(env, angle, mirror)]
-    return [{"heightmap": th.as_tensor(image).expand(2, 1, SIZE, SIZE), **shared} for image in images]
+# Networks of open-loop control
 
 
 def assert_same(found: th.Tensor, expected: th.Tensor) -> None:
@@ -145,47 +123,34 @@ def assert_same(found: th.Tensor, expected: th.Tensor) -> None:
         assert sample.std() > 0 and (other - sample).abs().max() < TOLERANCE * sample.std()
 
 
-@pytest.mark.parametrize(("quarters", "mirror"), [(1, False), (0, True), (3, True)])
-def test_maps_rotate_with_the_scene(open_loop: Any, quarters: int, mirror: bool) -> None:
-    policy = make_policy(open_loop, "pxyr")
-    with th.no_grad():
-        views = [policy.q_net.scene_view(one) for one in batches(open_loop, quarters * math.pi / 2, mirror)]
-        before, after = (policy.q_net.pixel_maps(view)[0] for view in views)
-    expected = th.rot90(before, quarters, (2, 3))
-    assert_same(after, expected.flip(3) if mirror else expected)
-
-
 def test_all_levels_rotate_with_the_scene(open_loop: Any) -> None:
     """Yaws shift; heights and tilts do not change if the gripper need not be rotated by pi."""
-    before, after = batches(open_loop, math.pi / 2, channels=3)
-    policy = make_policy(open_loop, "pxyzrrr")
+    in_hand = 0.05 * th.rand(1, 3, SIDE, SIDE, generator=th.Generator().manual_seed(0))
+    shared = {"in_hand": in_hand.expand(2, -1, -1, -1), "holding": th.tensor([[0.0], [1.0]])}
+    images = [th.as_tensor(seen["heightmap"]) for seen in look_twice(open_loop, math.pi / 2)]
+    before, after = ({"heightmap": image.expand(2, 1, SIZE, SIZE), **shared} for image in images)
+    th.manual_seed(0)
+    in_hand_space = spaces.Box(0.0, 0.4, (3, SIDE, SIDE), np.float32)
+    policy = EquivariantASRPolicy(
+        spaces.Dict({**open_loop.observation_space.spaces, "in_hand": in_hand_space}),
+        spaces.Box(-1.0, 1.0, (7,), np.float32),
+        lambda _: 0.0,
+        action_sequence="pxyzrrr",
+        codec_kwargs={"num_rotations": YAWS},
+        network_kwargs=NETWORK,
+        standardise=(0.0, 0.02),
+        quantise=None,
+    )
     highest = before["heightmap"].flatten(1).argmax(dim=1)
     indices = th.stack([highest // SIZE, highest % SIZE, *th.tensor([[1, 0], [3, 1], [5, 2], [1, 4]])], dim=1)
     rotated = indices.clone()
     rotated[:, 0], rotated[:, 1] = SIZE - 1 - indices[:, 1], indices[:, 0]
     rotated[:, 2] += YAWS // 2
     with th.no_grad():
+        views = [policy.q_net.scene_view(batch) for batch in (before, after)]
+        maps, rotated_maps = (policy.q_net.pixel_maps(view)[0] for view in views)
         first, second = policy.q_net.values(before, indices), policy.q_net.values(after, rotated)
+    assert_same(rotated_maps, th.rot90(maps, 1, (2, 3)))
     assert_same(second[1], first[1].roll(YAWS // 2, dims=1))
     for here, there in zip(first[2:], second[2:], strict=True):
         assert_same(there, here)
-
-
-@pytest.mark.parametrize("turns", [1, 2, 7])
-def test_augmented_samples_equal_a_rotated_scene(
-    open_loop: Any, turns: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    before, after = batches(open_loop, turns * math.pi / YAWS)
-    motion = RigidMotion(SpatialActionCodec(SIZE, "pxyr", num_rotations=YAWS), "heightmap")
-    samples: Any = ExpertReplayBufferSamples(before, None, before, *[None] * 8)  # type: ignore[arg-type]
-    errors = []
-    for number in range(2 * YAWS):
-        drawn = (th.full((2,), number), th.zeros(2, 2))
-        monkeypatch.setattr(motion, "_sample_motions", lambda *args, drawn=drawn: drawn)
-        found, _ = motion.move(samples, th.zeros(2, 3, dtype=th.int64), th.Generator())
-        image = found.observations["heightmap"]
-        assert th.equal(image, found.next_observations["heightmap"])
-        errors.append((image - after["heightmap"]).abs().mean().item())
-    least, second = sorted(errors)[:2]
-    assert errors.index(least) == turns and least < 0.4 * second
-    assert (least == 0.0) == (turns % (YAWS // 2) == 0)
