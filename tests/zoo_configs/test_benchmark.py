@@ -22,8 +22,7 @@ from bulletarm_gym.benchmarks import BENCHMARKS
 from zoo_configs.benchmarking import cluster
 from zoo_configs.benchmarking.plan import Plan, build_jobs, read_plan
 from zoo_configs.benchmarking.process import ExitCode, JobProcess
-from zoo_configs.benchmarking.run import size_of
-from zoo_configs.benchmarking.status import Overview, shown
+from zoo_configs.benchmarking.run import Overview, shown, size_of
 from zoo_configs.cli import main
 from zoo_configs.errors import CommandError
 from zoo_configs.provenance import versions

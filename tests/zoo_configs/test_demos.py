@@ -9,8 +9,8 @@ import h5py
 import pytest
 from sweeps import ROOT
 
+from bulletarm_gym.demonstrations import load
 from zoo_configs.cli import main
-from zoo_configs.environments import demonstrations
 
 PICKING, REACHING = "BulletArm/CloseLoopBlockPicking-v0", "BulletArm/CloseLoopBlockReaching-v0"
 SMALL = ["--env-kwargs", "obs_size:48"]
@@ -41,7 +41,7 @@ def test_a_file_is_written_and_named(
     assert "1 of 1 attempts succeeded, mean_length=2.00" in printed
     assert printed.endswith(f"Written:\n  {name}\n")
     assert [path.name for path in tmp_path.iterdir()] == [name]
-    assert len(demonstrations().load(name)[0]) == 2
+    assert len(load(name)[0]) == 2
 
 
 def test_a_training_starts_with_the_file_and_resumes_without_it(

@@ -26,8 +26,7 @@ from zoo_configs.files import missing_folders, print_written, remove_empty
 
 if TYPE_CHECKING:
     from zoo_configs.benchmarking.plan import Job
-    from zoo_configs.benchmarking.run import Runner, Size
-    from zoo_configs.benchmarking.status import Overview
+    from zoo_configs.benchmarking.run import Overview, Runner, Size
 
 DESCRIPTION = """Train all experiments of a benchmark with all seeds, in processes of this machine or on a Ray
 cluster. The same command resumes a benchmark: runs that are done are kept, interrupted runs resume from their

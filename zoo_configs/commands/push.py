@@ -11,8 +11,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from zoo_configs.arguments import Parser, check_device, positive_int
-from zoo_configs.commands.agent_flags import add_agent_flags, query_of
+from zoo_configs.arguments import Parser, add_agent_flags, check_device, positive_int, query_of
 from zoo_configs.environments import register_environments
 from zoo_configs.errors import CommandError, refused
 from zoo_configs.files import check_writable, print_written

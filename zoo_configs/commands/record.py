@@ -8,8 +8,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from zoo_configs.arguments import Parser, positive_int
-from zoo_configs.commands.agent_flags import add_agent_flags, query_of
+from zoo_configs.arguments import Parser, add_agent_flags, positive_int, query_of
 from zoo_configs.environments import register_environments
 from zoo_configs.files import check_writable, print_written
 

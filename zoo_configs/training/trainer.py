@@ -19,11 +19,10 @@ from zoo_configs.environments import load_expert_data
 from zoo_configs.errors import CommandError, reason, refused
 from zoo_configs.experiments.validation import policy_class
 from zoo_configs.files import write_yaml
-from zoo_configs.training.evaluation import PeriodicEvaluation, save_model
+from zoo_configs.training.evaluation import PeriodicEvaluation, TrainingLog, save_model
 from zoo_configs.training.objects import TRAINER_KEYS, action_noise, build_vec_env, callbacks, parsed
 from zoo_configs.training.runs import Run, env_folder_name
 from zoo_configs.training.seeds import SeedStream, stream_seed
-from zoo_configs.training.training_log import TrainingLog
 
 REJECTIONS = (AssertionError, MemoryError, RuntimeError, TypeError, ValueError)
 """Errors of algorithms for arguments, or environments, with which they cannot learn."""
