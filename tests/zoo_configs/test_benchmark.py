@@ -77,33 +77,27 @@ def test_runs_that_start_together_do_not_share_demonstrations() -> None:
     assert len(set(keys[:4])) == len(set(keys[4:])) == 4
 
 
-def test_the_size_of_a_run_is_that_of_its_replay_buffer() -> None:
-    plan = Plan(["CloseLoopBlockPulling"], ["sacfd"], options={"eval_freq": 0})
-    size = size_of(build_jobs(plan)[0])
+def test_a_dry_run_lists_sizes_and_writes_nothing(bench: Bench, tmp_path: Path, capsys: Any) -> None:
+    for flag in "--seeds", "--seed":
+        assert bench("--dry-run", flag, "0", "7", baselines=["sacfd", "sac"]) == 0
+        lines = capsys.readouterr().out.splitlines()
+        assert lines[1].split()[:4] == ["CloseLoopToy/sac", "0", "7", "1.0"]
+        assert lines[3].startswith("2 experiments, 4 runs") and not (tmp_path / "out").exists()
+    jobs = build_jobs(Plan(["CloseLoopBlockPulling"], ["sacfd"], seeds=1))
+    size = size_of(jobs[0])
     assert 0.12 < size.memory - 1.0 < 0.13  # 30,000 heightmaps of 64 x 64 bytes
     assert size.disk == 0.0 or size.disk == pytest.approx(3 * (size.memory - 1.0))
     plan = read_plan("open_loop_3d")
     assert all(size_of(job).memory > 1.0 for job in build_jobs(replace(plan, tasks=plan.tasks[:1], seeds=1)))
 
 
-@pytest.mark.parametrize("flag", ["--seeds", "--seed"])
-def test_a_dry_run_writes_nothing(flag: str, bench: Bench, tmp_path: Path, capsys: Any) -> None:
-    assert bench("--dry-run", flag, "0", "7", baselines=["sacfd", "sac"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[1].split()[:4] == ["CloseLoopToy/sac", "0", "7", "1.0"]
-    assert lines[3].startswith("2 experiments, 4 runs")
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_folder_with_other_runs_is_refused(bench: Bench, tmp_path: Path, capsys: Any) -> None:
+def test_a_folder_that_is_locked_or_has_other_runs_is_refused(
+    bench: Bench, tmp_path: Path, capsys: Any
+) -> None:
     [job] = jobs_of(seeds=1)
     write_resolved(Run(tmp_path / "out" / job.name, job.experiment, 0))
     assert bench(hyperparams={**TINY["hyperparams"], "gamma": 0.5}) == 2
     assert "hyperparams" in capsys.readouterr().err
-
-
-def test_a_folder_is_locked(bench: Bench, tmp_path: Path, capsys: Any) -> None:
-    (tmp_path / "out").mkdir()
     with run_lock(tmp_path / "out"):
         assert bench() == 2
     assert str(tmp_path / "out") in capsys.readouterr().err

@@ -27,38 +27,8 @@ from zoo_configs.training.options import TrainingOptions
 
 GOLDEN_FILE = Path(__file__).with_name("golden_experiments.yml")
 WRITE = "WRITE_GOLDEN_EXPERIMENTS"
-"""Environment variable with which this test writes the file instead of comparing with it."""
-PICKING_TASK, QUICK = "CloseLoopBlockPicking", "quick"
-CLOSE_LOOP, OPEN_LOOP = families()
-IN_3D = ("fcn", "equi_fcn", "rot_fcn", "cnn_asr", "equi_asr")
-IN_6D = ("cnn_asr_6d", "equi_deictic_asr")
-EXCEPTIONS = (
-    ("equi_sacfd", QUICK, "CloseLoopHouseBuilding"),
-    ("sacfd", QUICK, "CloseLoopHouseBuilding"),
-    ("equi_sac", QUICK, "CloseLoopBlockStacking"),
-    ("sacfd_state", QUICK, "CloseLoopBlockStacking"),
-    ("equi_tqcfd", QUICK, "CloseLoopObjectGrasping"),
-    ("equi_sacfd", QUICK, "CloseLoopCornerPicking"),
-    ("drq_sacfd", QUICK, "CloseLoopDrawerOpening"),
-    ("equi_sacfd", "cpu", "CloseLoopDrawerOpening"),
-    ("equi_sacfd", "cpu", PICKING_TASK, "close_loop_3d"),
-    ("sdqfd_equi_fcn", "cpu", "OpenLoopBlockStacking", "open_loop_2d"),
-    ("sdqfd_equi_fcn", "paper", "OpenLoopBlockStacking", "open_loop_2d"),
-    ("sdqfd_equi_asr", "cpu", "OpenLoopObjectGrasping"),
-    ("sdqfd_equi_asr", "paper", "OpenLoopObjectGrasping"),
-    ("sdqfd_equi_asr", "cpu", "OpenLoopBottleArrangement"),
-    ("sdqfd_equi_asr", "cpu", "OpenLoopBinPacking"),
-    ("sdqfd_equi_asr", "cpu", "OpenLoopBlockSorting"),
-)
-EXPERIMENTS = [
-    *((name, preset, PICKING_TASK) for name in CLOSE_LOOP.baselines for preset in CLOSE_LOOP.presets),
-    *((f"sdqfd_{net}", preset, "OpenLoopBlockStacking") for net in IN_3D for preset in OPEN_LOOP.presets),
-    *((f"sdqfd_{net}", preset, "OpenLoopRampBlockStacking") for net in IN_6D for preset in OPEN_LOOP.presets),
-    *((f"{name}_equi_asr", "cpu", "OpenLoopBlockStacking") for name in ("dqn", "adet", "dqfd")),
-    *EXCEPTIONS,
-]
-
-
+"""Environment variable with which this test writes the file, for its keys, instead of comparing with it."""
+CLOSE_LOOP, _ = families()
 PICKING, STACKING = "BulletArm/CloseLoopBlockPicking-v0", "BulletArm/OpenLoopBlockStacking-v0"
 
 
@@ -83,11 +53,13 @@ def resolved(baseline: str, preset: str, task: str, benchmark: str | None = None
 
 def test_resolved_experiments_equal_the_golden_file() -> None:
     """A changed value is a readable diff."""
-    found = {" ".join(names): resolved(*names) for names in EXPERIMENTS}
+    golden = yaml.safe_load(GOLDEN_FILE.read_text(encoding="utf-8"))
+    found = {names: resolved(*names.split()) for names in golden}
     if os.environ.get(WRITE):
         text = yaml.dump(found, Dumper=Dumper, default_flow_style=None, width=110)
         GOLDEN_FILE.write_text(text, encoding="utf-8")
-    assert found == yaml.safe_load(GOLDEN_FILE.read_text(encoding="utf-8"))
+        return
+    assert found == golden and {names.split()[0] for names in golden} >= CLOSE_LOOP.baselines.keys()
 
 
 def test_every_experiment_is_valid() -> None:

@@ -74,7 +74,7 @@ def test_a_loaded_agent_acts_as_before(name: str, half: bool, toy_id: str, tmp_p
         with th.no_grad():  # an average that differs from the weights, as after a training
             for parameter in model.policy.get_submodule("actor").parameters():
                 parameter.mul_(1.5)
-    types = "bfloat16, float16" if name == "ferm" else "float16"
+    types, error = ("bfloat16, float16", 0.05) if name == "ferm" else ("float16", 0.01)
     assert save_compact(model, tmp_path / "agent.zip", half) == (types if half else "float32")
     save_compact(model, tmp_path / "again.zip", half)
     assert (tmp_path / "agent.zip").read_bytes() == (tmp_path / "again.zip").read_bytes()
@@ -83,7 +83,7 @@ def test_a_loaded_agent_acts_as_before(name: str, half: bool, toy_id: str, tmp_p
     for observation in (space.sample() for _ in range(5)):
         expected, _ = model.predict(observation, deterministic=True)
         action, _ = loaded.predict(observation, deterministic=True)
-        np.testing.assert_allclose(action, expected, atol=0.01 if half else 0.0)
+        np.testing.assert_allclose(action, expected, atol=error if half else 0.0)
         assert np.isfinite(loaded.predict(observation)[0]).all()
 
 

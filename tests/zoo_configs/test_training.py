@@ -125,14 +125,11 @@ def test_ctrl_c_counts_as_killed(train: TrainHere) -> None:
     assert state(stop.value.run) is State.KILLED and stop.value.run.last_model.is_file()
 
 
-def test_run_folders_are_claimed_by_one_process(
-    tmp_path: Path, toy_id: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_run_folders_are_claimed_by_one_process(tmp_path: Path, toy_id: str, monkeypatch: Any) -> None:
     """Also if another process creates the folder between the listing and the claim."""
     assert claim_run_folder(tmp_path / "logs", toy_id).name == RUN_NAME
-    with monkeypatch.context() as patch:
-        patch.setattr(Path, "iterdir", lambda _: iter(()))
-        assert claim_run_folder(tmp_path / "logs", toy_id).name == f"{RUN_NAME[:-1]}2"
+    monkeypatch.setattr(Path, "iterdir", lambda _: iter(()))
+    assert claim_run_folder(tmp_path / "logs", toy_id).name == f"{RUN_NAME[:-1]}2"
 
 
 @pytest.mark.parametrize("algo", ["sacfd", "sac"])
