@@ -1,9 +1,9 @@
 """Checks, size, training and status of the runs of a benchmark."""
 
+import contextlib
 import json
 import sys
 import time
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -33,6 +33,7 @@ INTERVAL = 2.0  # seconds between two readings of the folders
 WAITING = "waiting"
 STATES = (State.DONE.value, State.RUNNING.value, WAITING, State.FAILED.value)
 """States of a run of a benchmark. A killed run waits to be resumed."""
+ENDED = (State.DONE.value, State.FAILED.value)
 
 
 class Size(NamedTuple):
@@ -103,9 +104,6 @@ class Entry(NamedTuple):
     success: str = ""
     detail: str = ""
 
-    def __str__(self) -> str:
-        return ", ".join(filter(None, (f"{self.state} {self.name}", self.success, self.detail)))
-
 
 class Overview:
     """
@@ -127,14 +125,13 @@ class Overview:
                 self.entries[name] = _read_entry(self.folder, name)
         return [entry for name, entry in self.entries.items() if entry != before[name]]
 
-    def of(self, state: str) -> list[Entry]:
-        """Return the runs with a state."""
-        return [entry for entry in self.entries.values() if entry.state == state]
+    def of(self, *states: str) -> list[Entry]:
+        """Return the runs with one of some states."""
+        return [entry for entry in self.entries.values() if entry.state in states]
 
     def counts(self) -> str:
         """Return the number of runs with each state."""
-        counts = Counter(entry.state for entry in self.entries.values())
-        return ", ".join(f"{counts[state]} {state}" for state in STATES)
+        return ", ".join(f"{len(self.of(state))} {state}" for state in STATES)
 
 
 def _read_entry(folder: Path, name: str) -> Entry:
@@ -146,13 +143,12 @@ def _read_entry(folder: Path, name: str) -> Entry:
         return Entry(name, State.FAILED.value, detail=str(error))
     if found is None:
         return Entry(name)
-    state = WAITING if found.state is State.KILLED else found.state.value
-    details = {State.RUNNING: f"on {found.host}", State.FAILED: found.error}
-    try:
+    success = ""
+    with contextlib.suppress(CommandError, OSError):  # missing, or not yet visible in a shared folder
         curve = load_curve(folder / name / EVALUATIONS_FILE)
         success = f"success {curve.success[-1]:.2f} at {curve.timesteps[-1]}"
-    except (CommandError, OSError):  # missing, or not yet visible in a shared folder
-        success = ""
+    state = WAITING if found.state is State.KILLED else found.state.value
+    details = {State.RUNNING: f"on {found.host}", State.FAILED: found.error}
     return Entry(name, state, success, details.get(found.state, ""))
 
 
@@ -172,8 +168,9 @@ def shown(overview: Overview, progress: bool | None = None) -> Iterator[Callable
                 return
             last = time.monotonic()
             for entry in overview.update():
-                bar.write(f"[{overview.counts()}] {entry}", file=sys.stderr)
-            bar.n = len(overview.of(State.DONE.value)) + len(overview.of(State.FAILED.value))
+                text = ", ".join(filter(None, (f"{entry.state} {entry.name}", entry.success, entry.detail)))
+                bar.write(f"[{overview.counts()}] {text}", file=sys.stderr)
+            bar.n = len(overview.of(*ENDED))
             bar.set_postfix_str(overview.counts())
 
         yield update
@@ -201,7 +198,7 @@ def train_jobs(
             for entry in overview.of(State.FAILED.value):
                 set_status(folder / entry.name, State.KILLED)
             overview.update()
-        ended = {entry.name for state in (State.DONE, State.FAILED) for entry in overview.of(state.value)}
+        ended = {entry.name for entry in overview.of(*ENDED)}
         print(f"{folder}: {overview.counts()}", file=sys.stderr)
         with shown(overview, progress) as look:
             runner([job for job in jobs if job.name not in ended], look)

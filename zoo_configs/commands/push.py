@@ -55,7 +55,6 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     add("-name", "--repo-name", help="name of the repository (default: BASELINE-ENV)")
     add("--folder", type=Path, help="write this folder instead; an existing agent is replaced")
     add("-n", "--episodes", type=positive_int, default=100, help="number of test episodes (default: 100)")
-    add("--full-precision", action="store_true", help="store the weights in float32")
     args = parser.parse_args(argv)
     if (args.organization is None) == (args.folder is None):
         parser.error("pass either --organization or --folder")
@@ -105,8 +104,7 @@ def _pack(agent: Agent, folder: Path, args: argparse.Namespace, repo_id: str | N
 
     print(f"{agent.label} on {agent.env_id}, model {agent.path}")
     options = EvalOptions(args.episodes, args.seed, env_kwargs=args.env_kwargs, progress=args.progress)
-    full = args.full_precision
-    card = pack(agent, folder, options, device=args.device, full_precision=full, repo_id=repo_id)
+    card = pack(agent, folder, options, device=args.device, repo_id=repo_id)
     print(f"success_rate={card.success:.2f} episodes={card.episodes}")
 
 
