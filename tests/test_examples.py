@@ -33,16 +33,14 @@ NOTEBOOKS = sorted((EXAMPLES / "tutorials").glob("*.ipynb"))
         "progress_reward.py --steps 104",  # after 100 random steps
     ],
 )
-def test_training_examples(
-    command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_training_examples(command, monkeypatch, capsys):
     script, *arguments = command.split()
     monkeypatch.setattr(sys, "argv", [script, *arguments, "--episodes", "1"])
     runpy.run_path(str(EXAMPLES / script), run_name="__main__")
     assert re.search(r"^success rate [01]\.\d\d$", capsys.readouterr().out, re.MULTILINE)
 
 
-def test_multi_task_example(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_multi_task_example(monkeypatch, capsys):
     budget = "--steps 6 --pretrain 2 --expert-episodes 3 --episodes 1"
     monkeypatch.setattr(sys, "argv", ["train_multi_task.py", *budget.split()])
     runpy.run_path(str(EXAMPLES / "train_multi_task.py"), run_name="__main__")
@@ -52,7 +50,7 @@ def test_multi_task_example(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capt
     assert rates == ["BlockReaching", "BlockPicking", "BlockPushing"]
 
 
-def test_asymmetric_example(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_asymmetric_example(monkeypatch, capsys):
     """The actor's actions do not depend on the poses, the critic's values not on the images."""
     budget = "--steps 3 --expert-episodes 1 --episodes 1"
     monkeypatch.setattr(sys, "argv", ["train_asymmetric.py", *budget.split()])
@@ -68,7 +66,7 @@ def test_asymmetric_example(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capt
         assert bool((values[0] != values[1]).any()) != actor_differs
 
 
-def test_small_arm(capsys: pytest.CaptureFixture[str]) -> None:
+def test_small_arm(capsys):
     runpy.run_path(str(EXAMPLES / "small_arm.py"), run_name="__main__")
     assert re.findall(r"rate (\d\.\d\d)", capsys.readouterr().out) == ["1.00"] * 4
 
@@ -81,7 +79,7 @@ def test_small_arm(capsys: pytest.CaptureFixture[str]) -> None:
         "CloseLoopBlockPicking-v0 --gym-packages six_dof --env-kwargs control:six_dof",
     ],
 )
-def test_examples_of_components_pass_the_check(command: str) -> None:
+def test_examples_of_components_pass_the_check(command):
     env_id, *flags = command.split()
     check = [sys.executable, "-m", "bulletarm_gym.check", f"BulletArm/{env_id}", "-n", "3", *flags]
     env = {**os.environ, "PYTHONPATH": str(ROOT)}
@@ -97,7 +95,7 @@ EVALUATE = """--env.type=bulletarm --env.discover_packages_path=lerobot_env_bull
 --eval.n_episodes=2 --eval.batch_size=2 --output_dir=results""".split()
 
 
-def test_evaluation_of_a_scripted_policy(tmp_path: Path) -> None:
+def test_evaluation_of_a_scripted_policy(tmp_path):
     pytest.importorskip("lerobot")
     paths = os.pathsep.join(map(str, (ROOT, PLUGIN, ROOT / "tests")))
     result = subprocess.run(
@@ -114,7 +112,7 @@ def test_evaluation_of_a_scripted_policy(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("env_id", bulletarm_gym.ENV_IDS)
-def test_observations_have_the_configured_features(env_id: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_observations_have_the_configured_features(env_id, monkeypatch):
     pytest.importorskip("lerobot")
     monkeypatch.syspath_prepend(PLUGIN)
     import lerobot_env_bulletarm as plugin
@@ -159,7 +157,7 @@ RUNS = [
 
 
 @pytest.fixture
-def kernel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+def kernel(tmp_path, monkeypatch):
     """Return the name of a Jupyter kernel with this interpreter, independent of the user's settings."""
     folder = tmp_path / "jupyter" / "kernels" / KERNEL
     folder.mkdir(parents=True)
@@ -178,7 +176,7 @@ def kernel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     ("name", "constants", "pattern"),
     [pytest.param(*run, id=run[0], marks=[pytest.mark.slow] if run is not RUNS[0] else []) for run in RUNS],
 )
-def test_notebook_runs(name: str, constants: str, pattern: str, kernel: str, tmp_path: Path) -> None:
+def test_notebook_runs(name, constants, pattern, kernel, tmp_path):
     """With the constants in place of the cell with the tag "parameters"."""
     notebook = nbformat.read(EXAMPLES / "tutorials" / f"{name}.ipynb", as_version=4)
     for cell in notebook.cells:
@@ -193,7 +191,7 @@ def test_notebook_runs(name: str, constants: str, pattern: str, kernel: str, tmp
     assert any("image/png" in output.get("data", {}) for output in outputs)
 
 
-def test_every_notebook_is_executed_and_described() -> None:
+def test_every_notebook_is_executed_and_described():
     names = [path.stem for path in NOTEBOOKS]
     assert names == [name for name, *_ in RUNS]
     page = (ROOT / "docs" / "tutorials.md").read_text(encoding="utf-8")
@@ -201,7 +199,7 @@ def test_every_notebook_is_executed_and_described() -> None:
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_notebook_is_stored_without_outputs(path: Path) -> None:
+def test_notebook_is_stored_without_outputs(path):
     content = json.loads(path.read_text(encoding="utf-8"))
     assert path.read_text(encoding="utf-8") == json.dumps(content, indent=1, ensure_ascii=False) + "\n"
     nbformat.validate(content)

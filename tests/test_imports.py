@@ -76,7 +76,7 @@ FILES = [(path.relative_to(GYM).parts[0].removesuffix(".py"), path) for path in 
 
 
 @pytest.mark.parametrize("package", FORBIDDEN)
-def test_packages_import_one_way(package: str) -> None:
+def test_packages_import_one_way(package):
     paths = sorted((ROOT / package).rglob("*.py"))
     assert paths
     for path in paths:
@@ -84,7 +84,7 @@ def test_packages_import_one_way(package: str) -> None:
         assert not names & set(FORBIDDEN[package].split()), path
 
 
-def test_modules_import_one_way() -> None:
+def test_modules_import_one_way():
     graph: dict[str, set[str]] = {}
     for module, path in FILES:
         imported = _own(path)
@@ -93,7 +93,7 @@ def test_modules_import_one_way() -> None:
     graphlib.TopologicalSorter(graph).prepare()  # raises CycleError with the circle
 
 
-def test_only_simulation_uses_the_engine() -> None:
+def test_only_simulation_uses_the_engine():
     for module, path in FILES:
         if module != "simulation":
             attributes = {node.attr for node in ast.walk(_tree(path)) if isinstance(node, ast.Attribute)}
@@ -101,7 +101,7 @@ def test_only_simulation_uses_the_engine() -> None:
             assert "client" not in attributes, f"{path} uses PyBullet's client"
 
 
-def test_importing_the_package_is_light() -> None:
+def test_importing_the_package_is_light():
     heavy = ["pybullet", "numba", "torch", "stable_baselines3", "h5py", "matplotlib"]
     code = f"import sys, bulletarm_gym; print(sorted(set({heavy}) & set(sys.modules)))"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -103,7 +103,7 @@ def test_sacfd_learns_from_colours_and_keeps_them_exactly(policy, observation, p
 
 
 @pytest.mark.parametrize("kind", [DummyVecEnv, SubprocVecEnv])
-def test_demonstrations_come_from_each_task_in_proportion(kind: Any) -> None:
+def test_demonstrations_come_from_each_task_in_proportion(kind):
     vec_env = VecMonitor(make_multi_task_vec(TASKS, 2 if kind is DummyVecEnv else 1, kind, obs_size=64))
     model = SACfD("EquivariantPolicy", vec_env, expert_episodes=6, policy_kwargs=EQUIVARIANT, seed=0).learn(6)
     buffer: Any = model.replay_buffer

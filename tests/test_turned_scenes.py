@@ -35,12 +35,12 @@ def make_env(env_id: str, **sizes: int) -> Iterator[Any]:
 
 
 @pytest.fixture(scope="module", params=CLOSE_LOOP)
-def env(request: pytest.FixtureRequest) -> Iterator[Any]:
+def env(request):
     yield from make_env(request.param, obs_size=64)
 
 
 @pytest.fixture(scope="module")
-def open_loop() -> Iterator[Any]:
+def open_loop():
     yield from make_env(OPEN_LOOP, obs_size=SIZE, in_hand_size=SIDE)
 
 
@@ -72,7 +72,7 @@ def look_twice(env: Any, angle: float, mirror: bool = False) -> tuple[Observatio
 
 
 @pytest.fixture(scope="module", params=[("cyclic", 4), ("cyclic", 8), ("dihedral", 4)], ids=str)
-def model(request: pytest.FixtureRequest) -> SACfD:
+def model(request):
     group, n = request.param
     kwargs = {"features_extractor_kwargs": {"group": group, "n": n, "channels": [4, 4, 8, 8, 8]}}
     made = gym.make(CLOSE_LOOP[0], obs_size=64)
@@ -89,7 +89,7 @@ def outputs(model: SACfD, observation: Observation, action: Any) -> np.ndarray:
 
 
 @pytest.mark.parametrize("mirror", [False, True])
-def test_actor_moves_with_the_scene_and_the_critic_is_invariant(env: Any, model: SACfD, mirror: bool) -> None:
+def test_actor_moves_with_the_scene_and_the_critic_is_invariant(env, model, mirror):
     before, after = look_twice(env, 0.0 if mirror else math.pi / 2, mirror)
     if not mirror:
         np.testing.assert_array_equal(np.rot90(before["heightmap"], 1, axes=(1, 2)), after["heightmap"])
@@ -104,7 +104,7 @@ def test_actor_moves_with_the_scene_and_the_critic_is_invariant(env: Any, model:
 
 
 @pytest.mark.parametrize("angle", [0.5, 2.5, 4.0])
-def test_rotated_samples_equal_a_rotated_scene(env: Any, angle: float) -> None:
+def test_rotated_samples_equal_a_rotated_scene(env, angle):
     before, after = look_twice(env, angle)
     angles = np.arange(0, 2 * math.pi, 0.1)
     images = th.from_numpy(before["heightmap"]).expand(len(angles), -1, -1, -1)
@@ -123,7 +123,7 @@ def assert_same(found: th.Tensor, expected: th.Tensor) -> None:
         assert sample.std() > 0 and (other - sample).abs().max() < TOLERANCE * sample.std()
 
 
-def test_all_levels_rotate_with_the_scene(open_loop: Any) -> None:
+def test_all_levels_rotate_with_the_scene(open_loop):
     """Yaws shift; heights and tilts do not change if the gripper need not be rotated by pi."""
     in_hand = 0.05 * th.rand(1, 3, SIDE, SIDE, generator=th.Generator().manual_seed(0))
     shared = {"in_hand": in_hand.expand(2, -1, -1, -1), "holding": th.tensor([[0.0], [1.0]])}

@@ -47,8 +47,6 @@ TINY: dict[str, Any] = {
         "env_kwargs": {"obs_size": 48},
     },
 }
-Train = Bench = Callable[..., int]
-Refuse = Callable[..., str]
 FLAGS = ("--gym-packages", "toy_tasks", "--device", "cpu", "--no-progress")
 
 

@@ -6,7 +6,6 @@ import signal
 import socket
 import threading
 import time
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,7 +15,7 @@ import numpy as np
 import pytest
 import sweeps
 import yaml
-from sweeps import FLAGS, TINY, Bench, is_running, jobs_of, same, start, wait_for
+from sweeps import FLAGS, TINY, is_running, jobs_of, same, start, wait_for
 
 from bulletarm_gym.benchmarks import BENCHMARKS
 from zoo_configs.benchmarking import cluster
@@ -38,14 +37,14 @@ pytestmark = pytest.mark.usefixtures("toys")
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
-def test_files_of_the_examples_are_plans(path: Path) -> None:
+def test_files_of_the_examples_are_plans(path):
     plan = read_plan(str(path))
     jobs = build_jobs(plan)
     assert {job.experiment.label for job in jobs} == set(plan.baselines)
     assert {f"BulletArm/{task}-v0" for task in plan.tasks} == {job.experiment.env_id for job in jobs}
 
 
-def test_the_benchmarks_of_the_paper_have_its_baselines() -> None:
+def test_the_benchmarks_of_the_paper_have_its_baselines():
     plan = read_plan("close_loop_4d")
     assert (len(plan.tasks), len(plan.baselines), plan.seeds) == (10, 11, 4)
     jobs = build_jobs(plan)
@@ -56,7 +55,7 @@ def test_the_benchmarks_of_the_paper_have_its_baselines() -> None:
     assert (len(six.tasks), len(six.baselines)) == (9, 8)
 
 
-def test_a_plan_names_tasks_and_baselines_by_patterns() -> None:
+def test_a_plan_names_tasks_and_baselines_by_patterns():
     plan = Plan([PICKING, "CloseLoopBlockReaching", "CloseLoop*Pu[ls]*"], ["*equi_sacfd", "sac"], seeds=[3])
     jobs = build_jobs(plan)
     tasks = {job.experiment.env_id.removeprefix("BulletArm/CloseLoop") for job in jobs}
@@ -71,13 +70,13 @@ def test_a_plan_names_tasks_and_baselines_by_patterns() -> None:
     assert {job.experiment.env_id for job in build_jobs(plan)} == known
 
 
-def test_runs_that_start_together_do_not_share_demonstrations() -> None:
+def test_runs_that_start_together_do_not_share_demonstrations():
     jobs = jobs_of(baselines=["sacfd", "sac"], tasks=["CloseLoopToy", "CloseLoopToySlow"])
     keys = [(job.experiment.env_id, job.seed) for job in jobs]
     assert len(set(keys[:4])) == len(set(keys[4:])) == 4
 
 
-def test_a_dry_run_lists_sizes_and_writes_nothing(bench: Bench, tmp_path: Path, capsys: Any) -> None:
+def test_a_dry_run_lists_sizes_and_writes_nothing(bench, tmp_path, capsys):
     for flag in "--seeds", "--seed":
         assert bench("--dry-run", flag, "0", "7", baselines=["sacfd", "sac"]) == 0
         lines = capsys.readouterr().out.splitlines()
@@ -91,9 +90,7 @@ def test_a_dry_run_lists_sizes_and_writes_nothing(bench: Bench, tmp_path: Path, 
     assert all(size_of(job).memory > 1.0 for job in build_jobs(replace(plan, tasks=plan.tasks[:1], seeds=1)))
 
 
-def test_a_folder_that_is_locked_or_has_other_runs_is_refused(
-    bench: Bench, tmp_path: Path, capsys: Any
-) -> None:
+def test_a_folder_that_is_locked_or_has_other_runs_is_refused(bench, tmp_path, capsys):
     [job] = jobs_of(seeds=1)
     write_resolved(Run(tmp_path / "out" / job.name, job.experiment, 0))
     assert bench(hyperparams={**TINY["hyperparams"], "gamma": 0.5}) == 2
@@ -106,7 +103,7 @@ def test_a_folder_that_is_locked_or_has_other_runs_is_refused(
 # ---- Status
 
 
-def test_the_overview_is_read_from_the_folders(tmp_path: Path, capsys: Any) -> None:
+def test_the_overview_is_read_from_the_folders(tmp_path, capsys):
     jobs = jobs_of(seeds=3)
     overview = Overview(jobs, tmp_path)
     running, failed, _ = (tmp_path / job.name for job in jobs)
@@ -125,7 +122,7 @@ def test_the_overview_is_read_from_the_folders(tmp_path: Path, capsys: Any) -> N
     assert overview.counts() == "1 done, 0 running, 1 waiting, 1 failed"
 
 
-def test_a_run_has_one_process_at_a_time(tmp_path: Path) -> None:
+def test_a_run_has_one_process_at_a_time(tmp_path):
     with run_lock(tmp_path):
         assert state_of(tmp_path) is State.RUNNING
         with pytest.raises(CommandError, match="process"), run_lock(tmp_path):
@@ -143,7 +140,7 @@ def test_a_run_has_one_process_at_a_time(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("killed", [True, False])
-def test_the_time_of_a_killed_process_counts_up_to_the_checkpoint(killed: bool, tmp_path: Path) -> None:
+def test_the_time_of_a_killed_process_counts_up_to_the_checkpoint(killed, tmp_path):
     with run_lock(tmp_path):
         (checkpoint := tmp_path / "checkpoint").mkdir()
     how = run_status(tmp_path)
@@ -165,7 +162,7 @@ def state_of(folder: Path) -> State | None:
     return None if status is None else status.state
 
 
-def test_runs_that_fail_do_not_stop_the_others(bench: Bench, tmp_path: Path, capsys: Any) -> None:
+def test_runs_that_fail_do_not_stop_the_others(bench, tmp_path, capsys):
     tasks = ["CloseLoopToyFailing", "CloseLoopToyCrashing", "CloseLoopToy"]
     assert bench("-j", "2", tasks=tasks, seeds=1) == 2
     out, err = capsys.readouterr()
@@ -184,7 +181,7 @@ def test_runs_that_fail_do_not_stop_the_others(bench: Bench, tmp_path: Path, cap
     assert after[failing] != before[failing] and after[good] == before[good]
 
 
-def test_a_full_disk_ends_the_benchmark_and_no_run(bench: Bench, tmp_path: Path, capsys: Any) -> None:
+def test_a_full_disk_ends_the_benchmark_and_no_run(bench, tmp_path, capsys):
     assert bench("-j", "1", tasks=["CloseLoopToyFull"]) == 2
     assert str(tmp_path / "out") in capsys.readouterr().err.splitlines()[-1]
     overview = Overview(jobs_of(tasks=["CloseLoopToyFull"]), tmp_path / "out")
@@ -192,7 +189,7 @@ def test_a_full_disk_ends_the_benchmark_and_no_run(bench: Bench, tmp_path: Path,
     assert overview.counts() == "0 done, 0 running, 2 waiting, 0 failed"
 
 
-def test_an_interrupted_run_is_killed_with_a_checkpoint(tmp_path: Path) -> None:
+def test_an_interrupted_run_is_killed_with_a_checkpoint(tmp_path):
     options = {**TINY["options"], "n_timesteps": 60, "save_freq": 6}
     [job] = jobs_of(tasks=["CloseLoopToySlow"], seeds=1, options=options)
     process, folder = JobProcess(job, tmp_path), tmp_path / job.name
@@ -213,9 +210,7 @@ KILLED = {"tasks": ["CloseLoopToySlow"], "seeds": 2, "options": {**TINY["options
         *(pytest.param(seed, 5, signal.SIGKILL, marks=pytest.mark.slow) for seed in range(1, 6)),
     ],
 )
-def test_a_killed_benchmark_loses_nothing(
-    seed: int, kills: int, how: signal.Signals, bench: Bench, tmp_path: Path
-) -> None:
+def test_a_killed_benchmark_loses_nothing(seed, kills, how, bench, tmp_path):
     plan = {**TINY, **KILLED, "baselines": ["sacfd", "equi_sacfd"][:kills]}
     rng, out = random.Random(seed), tmp_path / "out"
     for _ in range(kills):
@@ -242,7 +237,7 @@ SLOW = {"tasks": ["CloseLoopToySlow", "CloseLoopToyFailing"], "seeds": 1, "basel
 
 
 @pytest.fixture(scope="module")
-def ray_cluster() -> Iterator[Any]:
+def ray_cluster():
     """A head with one core; tests add other nodes."""
     pytest.importorskip("ray")
     from ray.cluster_utils import Cluster
@@ -256,9 +251,7 @@ def ray_cluster() -> Iterator[Any]:
     os.environ.update(before)
 
 
-def test_a_machine_must_share_the_folder_and_the_versions(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_machine_must_share_the_folder_and_the_versions(tmp_path, monkeypatch):
     monkeypatch.setattr(cluster, "SETTLING_SECONDS", 0.0)
     (tmp_path / "token").touch()
     cluster.check_machine(tmp_path, "token", (), versions())
@@ -274,7 +267,7 @@ def test_a_machine_must_share_the_folder_and_the_versions(
     assert [path.name for path in tmp_path.iterdir()] == ["token"]
 
 
-def test_a_run_that_is_lost_again_and_again_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_that_is_lost_again_and_again_fails(tmp_path, monkeypatch):
     def lost(*_: Any) -> Any:
         ended = {"wait": lambda _=None: True, "exit_code": lambda: ExitCode.INTERRUPTED}
         return SimpleNamespace(**ended, interrupt=lambda: None, kill=lambda: None)
@@ -290,9 +283,7 @@ def test_a_run_that_is_lost_again_and_again_fails(tmp_path: Path, monkeypatch: p
     assert cluster.train(job, tmp_path, "token") == ExitCode.INTERRUPTED  # it has progressed
 
 
-def test_a_dead_address_is_reported_soon(
-    bench: Bench, tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_dead_address_is_reported_soon(bench, tmp_path, capsys, monkeypatch):
     """Nothing listens on port 9; a listener that never answers is a hang."""
     pytest.importorskip("ray")
     monkeypatch.setattr(cluster, "CONNECTING_SECONDS", 6.0)
@@ -304,9 +295,7 @@ def test_a_dead_address_is_reported_soon(
 
 
 @pytest.mark.slow
-def test_a_node_killed_in_the_middle_loses_nothing(
-    ray_cluster: Any, bench: Bench, tmp_path: Path, capsys: Any
-) -> None:
+def test_a_node_killed_in_the_middle_loses_nothing(ray_cluster, bench, tmp_path, capsys):
     assert bench("--ray", ray_cluster.address, "--memory", "1000") == 2  # more than any machine has
     assert "CloseLoopToy/sacfd/seed_0" in capsys.readouterr().err and not (tmp_path / "out").exists()
     node, out = ray_cluster.add_node(**NODE), tmp_path / "out"
@@ -337,9 +326,7 @@ def test_a_node_killed_in_the_middle_loses_nothing(
 
 
 @pytest.mark.slow
-def test_a_caller_that_is_interrupted_or_killed_loses_nothing(
-    ray_cluster: Any, bench: Bench, tmp_path: Path
-) -> None:
+def test_a_caller_that_is_interrupted_or_killed_loses_nothing(ray_cluster, bench, tmp_path):
     out, plan = tmp_path / "out", {**TINY, "tasks": ["CloseLoopToySlow"], "baselines": ["sacfd", "sac"]}
     for how, code in ((signal.SIGINT, 130), (signal.SIGKILL, -9)):
         caller = start(tmp_path, plan, "--ray", ray_cluster.address)

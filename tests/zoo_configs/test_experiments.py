@@ -51,7 +51,7 @@ def resolved(baseline: str, preset: str, task: str, benchmark: str | None = None
     return {"algo": found.algo, "flags": found.flags, "hyperparams": found.hyperparams}
 
 
-def test_resolved_experiments_equal_the_golden_file() -> None:
+def test_resolved_experiments_equal_the_golden_file():
     """A changed value is a readable diff."""
     golden = yaml.safe_load(GOLDEN_FILE.read_text(encoding="utf-8"))
     found = {names: resolved(*names.split()) for names in golden}
@@ -62,13 +62,13 @@ def test_resolved_experiments_equal_the_golden_file() -> None:
     assert found == golden and {names.split()[0] for names in golden} >= CLOSE_LOOP.baselines.keys()
 
 
-def test_every_experiment_is_valid() -> None:
+def test_every_experiment_is_valid():
     for names in ALL:
         check_experiment(resolve(*names))
 
 
 @pytest.mark.parametrize("env_id", our_env_ids())
-def test_buffers_hold_all_demonstrations(env_id: str) -> None:
+def test_buffers_hold_all_demonstrations(env_id):
     """Even if each is as long as the time limit, with room for the agent's transitions."""
     with closing(make_env(env_id, {})) as env:
         limit = env.unwrapped.config.max_steps  # type: ignore[attr-defined]
@@ -81,7 +81,7 @@ def test_buffers_hold_all_demonstrations(env_id: str) -> None:
 # ---- The paper
 
 
-def test_the_paper_preset_has_the_numbers_of_the_paper_in_closed_loop() -> None:
+def test_the_paper_preset_has_the_numbers_of_the_paper_in_closed_loop():
     """Appendix "Benchmark Details"; Polyak averaging and update schedule as in the authors' code."""
     experiment = resolve("equi_sacfd", "paper", PICKING)
     expected = {
@@ -105,9 +105,7 @@ def test_the_paper_preset_has_the_numbers_of_the_paper_in_closed_loop() -> None:
         ("sdqfd", {"imitation_weight": 0.1, "margin": 0.1}),
     ],
 )
-def test_the_paper_preset_has_the_numbers_of_the_paper_in_open_loop(
-    learner: str, own: dict[str, float]
-) -> None:
+def test_the_paper_preset_has_the_numbers_of_the_paper_in_open_loop(learner, own):
     experiment = resolve(f"{learner}_equi_asr", "paper", STACKING)
     expected = {
         **{"learning_rate": 1e-4, "gamma": 0.95, "batch_size": 16, "buffer_size": 100_000, "n_envs": 5},
@@ -124,7 +122,7 @@ def test_the_paper_preset_has_the_numbers_of_the_paper_in_open_loop(
 
 
 @pytest.mark.parametrize("benchmark", ["open_loop_2d", "open_loop_3d", "open_loop_6d"])
-def test_a_benchmark_defines_the_parameters_of_its_tasks(benchmark: str) -> None:
+def test_a_benchmark_defines_the_parameters_of_its_tasks(benchmark):
     network = "equi_deictic_asr" if benchmark == "open_loop_6d" else "equi_fcn"
     sequence = {"open_loop_2d": "pxy", "open_loop_3d": "pxyr", "open_loop_6d": "pxyzrrr"}[benchmark]
     for row in BENCHMARKS[benchmark].environments:
@@ -139,7 +137,7 @@ def test_a_benchmark_defines_the_parameters_of_its_tasks(benchmark: str) -> None
         assert experiment.hyperparams["expert_episodes"] == episodes
 
 
-def test_the_cpu_preset_has_the_budget_of_the_paper_and_one_set_of_hyperparameters() -> None:
+def test_the_cpu_preset_has_the_budget_of_the_paper_and_one_set_of_hyperparameters():
     """At most 100 demonstrations, and 10,000 updates of five environment steps, no DAgger."""
     tasks = [row.env_id for row in BENCHMARKS["close_loop_4d"].environments]
     imitating = [name for name in CLOSE_LOOP.baselines if "fd" in name]
@@ -152,7 +150,7 @@ def test_the_cpu_preset_has_the_budget_of_the_paper_and_one_set_of_hyperparamete
 
 
 @pytest.mark.parametrize(("preset", "obs_size", "size"), [("paper", 142, 128), ("cpu", 71, 64)])
-def test_crops_and_priorities_are_those_of_the_paper(preset: str, obs_size: int, size: int) -> None:
+def test_crops_and_priorities_are_those_of_the_paper(preset, obs_size, size):
     for baseline in ("rad_sac", "ferm_sacfd"):
         hyperparams = hyperparams_of(baseline, preset, PICKING)
         assert hyperparams["env_kwargs"]["obs_size"] == obs_size
@@ -167,7 +165,7 @@ def test_crops_and_priorities_are_those_of_the_paper(preset: str, obs_size: int,
 # ---- Merging
 
 
-def test_layers_have_a_fixed_order() -> None:
+def test_layers_have_a_fixed_order():
     """The order of the keys in a file does not matter."""
     values = [{"set": {"gamma": number / 10}} for number in range(9)]
     tasks = {"tasks": {"Toy": {**values[7], "networks": {"cnn": values[8]}}}}
@@ -193,7 +191,7 @@ def test_layers_have_a_fixed_order() -> None:
         list(family.layers(Case("cpu", PICKING, None, family.baselines["sacfd"])))
 
 
-def test_overrides_are_merged_last_and_shared_with_nothing() -> None:
+def test_overrides_are_merged_last_and_shared_with_nothing():
     overrides = {"learning_rate": 0.5, "env_kwargs": {"action_sequence": "xyzp"}}
     hyperparams = hyperparams_of("equi_sacfd", "cpu", PICKING, overrides)
     assert hyperparams["learning_rate"] == 0.5
@@ -204,7 +202,7 @@ def test_overrides_are_merged_last_and_shared_with_nothing() -> None:
     assert merge({"a": {"b": [1], "c": 2}}, {"a": {"b": [3]}}) == {"a": {"b": [3], "c": 2}}
 
 
-def test_a_grid_of_actions_covers_the_yaws_and_the_workspace() -> None:
+def test_a_grid_of_actions_covers_the_yaws_and_the_workspace():
     workspace = [[0.3, 0.6], [-0.15, 0.15], [0.01, 0.25]]
     env_kwargs = {"half_rotation": False, "workspace": workspace, "random_orientation": True}
     hyperparams = hyperparams_of("sdqfd_equi_asr", "cpu", STACKING, {"env_kwargs": env_kwargs})
@@ -220,7 +218,7 @@ def test_a_grid_of_actions_covers_the_yaws_and_the_workspace() -> None:
 
 @pytest.mark.parametrize("size", [16, 48, 64, 128, 224])
 @pytest.mark.parametrize("baseline", ["sacfd", "equi_sacfd", "drq_sac"])
-def test_presets_fit_the_image_size(baseline: str, size: int) -> None:
+def test_presets_fit_the_image_size(baseline, size):
     experiment = resolve(baseline, "cpu", PICKING, {"env_kwargs": {"obs_size": size}})
     check_experiment(experiment)
     encoder = experiment.hyperparams["policy_kwargs"]["features_extractor_kwargs"]
@@ -238,7 +236,7 @@ def test_presets_fit_the_image_size(baseline: str, size: int) -> None:
 @pytest.mark.parametrize(
     ("baseline", "env_id"), [("equi_sacfd", PICKING), ("drq_sac", PICKING), ("sdqfd_equi_asr", STACKING)]
 )
-def test_every_value_has_a_source(baseline: str, env_id: str) -> None:
+def test_every_value_has_a_source(baseline, env_id):
     overrides = {"gamma": 0.5, "env_kwargs": {"obs_size": 128}}
     experiment, sources = explain(baseline, "cpu", env_id, overrides)
     assert experiment == resolve(baseline, "cpu", env_id, overrides)
@@ -254,7 +252,7 @@ def test_every_value_has_a_source(baseline: str, env_id: str) -> None:
     assert content == {"algo": experiment.algo, env_id: experiment.hyperparams, "options": options}
 
 
-def test_a_dry_run_prints_source_and_reason(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_dry_run_prints_source_and_reason(capsys):
     line = f"--env {PICKING} --baseline drq_sacfd --preset paper -n 7 -params tau:1e-2 callback:None"
     assert main(["train", "--dry-run", *line.split()]) == 0
     printed = capsys.readouterr().out
@@ -283,12 +281,12 @@ def test_a_dry_run_prints_source_and_reason(capsys: pytest.CaptureFixture[str]) 
         ("dqfd --env BulletArm/OpenLoopRampBlockStacking-v0", "dqfd_equi_deictic_asr"),
     ],
 )
-def test_an_algorithm_alone_selects_a_baseline_that_serves_the_task(line: str, baseline: str) -> None:
+def test_an_algorithm_alone_selects_a_baseline_that_serves_the_task(line, baseline):
     assert experiment_of(f"--algo {line}").baseline == baseline
 
 
 @pytest.mark.parametrize("algo", ["ppo", "a2c", "sac", "td3", "ddpg", "tqc", "trpo"])
-def test_stock_algorithms_have_a_policy_for_our_observations(algo: str) -> None:
+def test_stock_algorithms_have_a_policy_for_our_observations(algo):
     experiment = experiment_of(f"--algo {algo} --env STACKING --env-kwargs obs_size:32")
     check_experiment(experiment)
     assert experiment.hyperparams["policy"] == "MultiInputPolicy"
@@ -300,7 +298,7 @@ def test_stock_algorithms_have_a_policy_for_our_observations(algo: str) -> None:
     assert chosen["policy"] == "CnnPolicy"
 
 
-def test_values_are_yaml_of_version_1_2() -> None:
+def test_values_are_yaml_of_version_1_2():
     line = "--algo ppo --env Pendulum-v1 -params a:1e-3 b:no c:12:30 d:[1,x] e:None f:true"
     values = {"a": 0.001, "b": "no", "c": "12:30", "d": [1, "x"], "e": None, "f": True}
     assert experiment_of(f"{line} --env-kwargs g:panda").overrides == {**values, "env_kwargs": {"g": "panda"}}

@@ -1,8 +1,6 @@
 """Command lines drawn at random, valid ones and some with a mistake: followed, or refused in one line."""
 
 import shutil
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -55,9 +53,7 @@ def draw(rng: np.random.Generator) -> list[str]:
 @pytest.mark.parametrize(
     ("seed", "number"), [(0, 40), *(pytest.param(seed, 150, marks=pytest.mark.slow) for seed in range(1, 11))]
 )
-def test_random_command_lines(
-    seed: int, number: int, toy_id: str, trained: Path, tmp_path: Path, capsys: Any, monkeypatch: Any
-) -> None:
+def test_random_command_lines(seed, number, toy_id, trained, tmp_path, capsys, monkeypatch):
     [run] = trained.glob("sacfd/*_1")
     logs, here, rng, successes = tmp_path / "logs", tmp_path / "here", np.random.default_rng(seed), 0
     meanings = {"RUN": str(logs / "sacfd" / run.name), "LOGS": str(logs), "TOY": toy_id}

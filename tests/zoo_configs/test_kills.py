@@ -75,7 +75,7 @@ def run_dying(folder: Path, moment: int, code: str) -> int:
 
 
 @pytest.mark.parametrize("moment", OF_TRAINING)
-def test_a_killed_training_loses_nothing(moment: int, toy_id: str, tmp_path: Path) -> None:
+def test_a_killed_training_loses_nothing(moment, toy_id, tmp_path):
     code = f"import test_kills; test_kills.train({toy_id!r}, test_kills.Path({str(tmp_path)!r}))"
     assert run_dying(tmp_path, moment, code) in (0, -9)
     status = run_status(tmp_path / "run")
@@ -92,7 +92,7 @@ def counted(folder: Path, study: str) -> list[tuple[Any, Any, str]]:
 
 
 @pytest.mark.parametrize("moment", OF_STUDY)
-def test_a_killed_study_loses_nothing(moment: int, toy_id: str, tmp_path: Path) -> None:
+def test_a_killed_study_loses_nothing(moment, toy_id, tmp_path):
     (tmp_path / "space.yml").write_text("learning_rate: {low: 0.0001, high: 0.01, log: true}")
     words = [*TUNE, "--env", toy_id, "-f", str(tmp_path / "logs"), "--space", str(tmp_path / "space.yml")]
     assert run_dying(tmp_path, moment, f"from zoo_configs.cli import main; main({words!r})") in (0, -9)

@@ -1,7 +1,6 @@
 """Networks of the presets as ``train`` builds them, before they have learned anything."""
 
 import functools
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -61,13 +60,13 @@ def check_untrained(model: Any, observations: dict[str, th.Tensor]) -> None:
 
 @pytest.mark.parametrize("preset", ["cpu", "quick"])  # those of the paper are not normalised
 @pytest.mark.parametrize("baseline", CLOSED_LOOP)
-def test_an_untrained_agent_expects_nothing_and_explores(baseline: str, preset: str, toy_id: str) -> None:
+def test_an_untrained_agent_expects_nothing_and_explores(baseline, preset, toy_id):
     model = make_model(resolve(baseline, preset, toy_id), "cpu", **UNTRAINED)
     check_untrained(model, real_observations(obs_size=model.observation_space["heightmap"].shape[-1]))
 
 
 @pytest.mark.parametrize("preset", ["cpu", "quick"])
-def test_an_untrained_agent_of_states_expects_nothing_and_explores(preset: str) -> None:
+def test_an_untrained_agent_of_states_expects_nothing_and_explores(preset):
     model = make_model(resolve("sacfd_state", preset, BLOCKS), "cpu", **UNTRAINED)
     assert set(model.observation_space.spaces) == {"state", "holding"}
     check_untrained(model, real_observations(observation="state"))
@@ -76,9 +75,7 @@ def test_an_untrained_agent_of_states_expects_nothing_and_explores(preset: str) 
 
 @pytest.mark.parametrize("preset", ["cpu", pytest.param("paper", marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("network", "env_id", "benchmark"), OPEN_LOOP)
-def test_an_untrained_spatial_network_expects_nothing(
-    network: str, env_id: str, benchmark: str, preset: str
-) -> None:
+def test_an_untrained_spatial_network_expects_nothing(network, env_id, benchmark, preset):
     """Networks of the paper, which need a GPU, are built but not evaluated."""
     experiment = resolve(f"sdqfd_{network}", preset, env_id, benchmark=benchmark)
     model = make_model(experiment, "cpu", **UNTRAINED)
@@ -92,7 +89,7 @@ def test_an_untrained_spatial_network_expects_nothing(
     model.env.close()
 
 
-def test_a_video_shows_the_values_of_a_spatial_policy(tmp_path: Path) -> None:
+def test_a_video_shows_the_values_of_a_spatial_policy(tmp_path):
     model = make_model(resolve("sdqfd_fcn", "cpu", STACKING), "cpu", **UNTRAINED)
     model.save(tmp_path / "model")
     model.env.close()

@@ -16,7 +16,6 @@ import pytest
 import torch
 from gymnasium import spaces
 from PIL import Image
-from sweeps import Refuse
 
 from bulletarm_gym.check.machine import describe_processor
 from zoo_configs import provenance
@@ -50,9 +49,7 @@ GOOD = [[False] * 4, [True, True, False, True], [True, True, True, False]]
         ("--baselines", "equi_sacfd_per_aug sacfd equivariant per_aug"),
     ],
 )
-def test_lists_fit_80_columns(
-    words: str, row: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_lists_fit_80_columns(words, row, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     assert main(["list", *words.split()]) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -61,7 +58,7 @@ def test_lists_fit_80_columns(
     assert row in " ".join(" ".join(lines).split())
 
 
-def test_help_loads_neither_pytorch_nor_the_engine(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_loads_neither_pytorch_nor_the_engine(capsys):
     code = (
         "import sys; from zoo_configs.cli import COMMANDS, main\n"
         "for command in COMMANDS:\n"
@@ -78,7 +75,7 @@ def test_help_loads_neither_pytorch_nor_the_engine(capsys: pytest.CaptureFixture
 # ---- Curves
 
 
-def test_a_mean_curve_has_at_each_step_the_runs_that_were_evaluated() -> None:
+def test_a_mean_curve_has_at_each_step_the_runs_that_were_evaluated():
     error, ones = np.full(3, 0.1), np.ones(3, dtype=np.int64)
     long = LearningCurve(np.array([5, 10, 15]), np.array([0.0, 0.5, 1.0]), error, "success", ones)
     short = LearningCurve(np.array([5, 10]), np.array([1.0, 1.0]), error[:2], "success", ones[:2])
@@ -90,9 +87,7 @@ def test_a_mean_curve_has_at_each_step_the_runs_that_were_evaluated() -> None:
     assert mean_curve([long]) is long
 
 
-def test_plot_draws_values_of_expert_and_online_transitions(
-    trained: Path, tmp_path: Path, refuse: Refuse
-) -> None:
+def test_plot_draws_values_of_expert_and_online_transitions(trained, tmp_path, refuse):
     assert main(["plot", "-f", str(trained), "--training", "-o", str(tmp_path / "a.png")]) == 0
     with Image.open(tmp_path / "a.png") as image:
         assert image.size[0] > 2 * image.size[1] * 0.9  # two panels
@@ -121,7 +116,7 @@ def add_run(
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     """Two tasks, two baselines, two seeds."""
     for env_id in (PICKING, REACHING):
         for seed in range(2):
@@ -142,9 +137,7 @@ def folder(tmp_path: Path) -> Path:
     ],
     ids=str,
 )
-def test_runs_of_other_settings_are_other_experiments(
-    changes: dict[str, Any], label: str | None, tmp_path: Path
-) -> None:
+def test_runs_of_other_settings_are_other_experiments(changes, label, tmp_path):
     """Evaluations and threads do not make an experiment."""
     add_run(tmp_path, REACHING, "sacfd", 0, GOOD)
     add_run(tmp_path, REACHING, "sacfd", 1, GOOD, **changes)
@@ -152,7 +145,7 @@ def test_runs_of_other_settings_are_other_experiments(
     assert found == ["sacfd"] if label is None else [label in one for one in found].count(True) == 1
 
 
-def test_an_equal_run_counts_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_equal_run_counts_once(tmp_path, capsys):
     longer = add_run(tmp_path, REACHING, "sacfd", 0, GOOD)
     shorter = add_run(tmp_path, REACHING, "sacfd", 0, GOOD[:2])
     [experiment] = read_experiments(tmp_path)
@@ -160,7 +153,7 @@ def test_an_equal_run_counts_once(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert str(shorter.folder) in capsys.readouterr().err
 
 
-def test_tables_show_every_seed(folder: Path) -> None:
+def test_tables_show_every_seed(folder):
     experiments = read_experiments(folder)
     row = ["CloseLoopBlockPicking", "equi_sacfd", "0.88", "0: 1.00, 1: 0.75", "2 of 2", "30"]
     assert experiment_row(experiments[0])[:6] == row
@@ -169,7 +162,7 @@ def test_tables_show_every_seed(folder: Path) -> None:
     assert means == pytest.approx([0.5, 0.5, 0.3])
 
 
-def test_the_command_of_a_run_repeats_it(folder: Path) -> None:
+def test_the_command_of_a_run_repeats_it(folder):
     run = next(run for run in find_runs(folder) if run.seed == 1)
     words = shlex.split(repeating_command(run))
     assert words[:2] == ["bulletarm-zoo", "train"]
@@ -179,9 +172,7 @@ def test_the_command_of_a_run_repeats_it(folder: Path) -> None:
     assert TrainingOptions.of(again, given_options(args)) == run.options
 
 
-def test_plot_writes_figure_and_tables(
-    folder: Path, capsys: pytest.CaptureFixture[str], refuse: Refuse
-) -> None:
+def test_plot_writes_figure_and_tables(folder, capsys, refuse):
     assert main(["plot", "-f", str(folder)]) == 0
     out = capsys.readouterr().out
     written = [folder / f"learning_curves.{suffix}" for suffix in ("png", "md", "csv")]
@@ -203,7 +194,7 @@ def test_plot_writes_figure_and_tables(
     assert str(evaluations) in refuse("plot", "-f", str(folder))
 
 
-def test_returns_and_failed_runs_are_in_the_table(tmp_path: Path) -> None:
+def test_returns_and_failed_runs_are_in_the_table(tmp_path):
     run = add_run(tmp_path, REACHING, "sacfd", 0, GOOD)
     np.savez(run.evaluations_file, timesteps=[10], results=[[3.0, 5.0]])
     (run.folder / "state.yml").unlink()
@@ -216,7 +207,7 @@ def test_returns_and_failed_runs_are_in_the_table(tmp_path: Path) -> None:
 # ---- Videos, files, seeds, provenance
 
 
-def test_record_shows_agent_and_expert(run_folder: Path, tmp_path: Path) -> None:
+def test_record_shows_agent_and_expert(run_folder, tmp_path):
     video = tmp_path / "agent.gif"
     assert main(["record", str(run_folder), "-n", "2", "--device", "cpu", "-o", str(video)]) == 0
     with Image.open(video) as image:
@@ -228,7 +219,7 @@ def test_record_shows_agent_and_expert(run_folder: Path, tmp_path: Path) -> None
     assert sorted(path.name for path in tmp_path.iterdir()) == ["agent.gif", "expert.mp4"]
 
 
-def test_images_have_fixed_scales() -> None:
+def test_images_have_fixed_scales():
     """The surface stays dark while the gripper moves, and a pixel of another image keeps its value."""
     with closing(gymnasium.make("BulletArm/CloseLoopBlockPicking-v0", obs_size=32)) as env:
         env.reset(seed=0)
@@ -242,7 +233,7 @@ def test_images_have_fixed_scales() -> None:
     assert image == pytest.approx(np.full((8, 8), 0.25))
 
 
-def test_a_file_is_written_atomically(tmp_path: Path) -> None:
+def test_a_file_is_written_atomically(tmp_path):
     path = tmp_path / "file.txt"
     path.write_text("before")
     with pytest.raises(RuntimeError), whole_file(path) as partial:
@@ -254,14 +245,14 @@ def test_a_file_is_written_atomically(tmp_path: Path) -> None:
     assert path.read_text() == "after" and list(tmp_path.iterdir()) == [path]
 
 
-def test_seed_streams_are_disjoint() -> None:
+def test_seed_streams_are_disjoint():
     seeds = {
         stream_seed(seed, stream, index) for seed in range(4) for stream in SeedStream for index in range(9)
     }
     assert len(seeds) == 4 * len(SeedStream) * 9
 
 
-def test_a_gpu_is_part_of_the_hardware(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_gpu_is_part_of_the_hardware(monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch.cuda, "get_device_name", lambda device: f"GPU {device.index or 0}")
     processor = describe_processor()
@@ -269,7 +260,7 @@ def test_a_gpu_is_part_of_the_hardware(monkeypatch: pytest.MonkeyPatch) -> None:
     assert machines == [processor, f"{processor}, GPU 1"]
 
 
-def test_the_commit_is_that_of_the_running_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_commit_is_that_of_the_running_code(tmp_path, monkeypatch):
     def git(*words: str) -> str:
         who = ["-c", "user.name=a", "-c", "user.email=a@b", "-c", "commit.gpgsign=false"]
         command = ["git", "-C", str(tmp_path), *who, *words]

@@ -8,7 +8,7 @@ from typing import Any
 
 import gymnasium as gym
 import pytest
-from sweeps import Refuse, Train, same
+from sweeps import same
 
 from sb3_extensions.common import checkpoint
 from sb3_extensions.sacfd import SACfD
@@ -23,7 +23,7 @@ STACKING = "BulletArm/OpenLoopBlockStacking-v0"
 # ---- Resuming
 
 
-def test_an_extended_run_equals_a_longer_one(train_tiny: Train, tmp_path: Path) -> None:
+def test_an_extended_run_equals_a_longer_one(train_tiny, tmp_path):
     """At a constant learning rate: a schedule depends on the end of the training."""
     extended, longer = (tmp_path / name / "sacfd" / RUN_NAME for name in ("a", "b"))
     constant = "learning_rate:0.001"
@@ -33,9 +33,7 @@ def test_an_extended_run_equals_a_longer_one(train_tiny: Train, tmp_path: Path) 
     assert same(extended, longer) and len(list(extended.parent.iterdir())) == 1
 
 
-def test_a_damaged_checkpoint_is_replaced_by_the_one_before(
-    train_tiny: Train, tmp_path: Path, capsys: pytest.CaptureFixture[str], refuse: Refuse
-) -> None:
+def test_a_damaged_checkpoint_is_replaced_by_the_one_before(train_tiny, tmp_path, capsys, refuse):
     damaged, whole = (tmp_path / name / "sacfd" / RUN_NAME for name in ("a", "b"))
     constant = "learning_rate:0.001"
     assert train_tiny(tmp_path / "a", constant) == 0
@@ -52,7 +50,7 @@ def test_a_damaged_checkpoint_is_replaced_by_the_one_before(
     assert "model.zip" in refuse("train", "--resume", str(damaged), "-n", "24")
 
 
-def test_a_run_that_cannot_be_resumed_is_one_line(run_folder: Path, refuse: Refuse) -> None:
+def test_a_run_that_cannot_be_resumed_is_one_line(run_folder, refuse):
     fixed = ("--seed", "--baseline", "--env", "--benchmark", "--log-folder")
     for words, text in (
         ("", "12 of 12 steps"),
@@ -66,9 +64,7 @@ def test_a_run_that_cannot_be_resumed_is_one_line(run_folder: Path, refuse: Refu
         assert text in refuse("train", "--resume", str(run_folder), *words.split())
 
 
-def test_a_full_disk_leaves_no_half_checkpoint(
-    train_tiny: Train, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_full_disk_leaves_no_half_checkpoint(train_tiny, tmp_path, monkeypatch, capsys):
     def fill(path: Path) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
@@ -82,9 +78,7 @@ def test_a_full_disk_leaves_no_half_checkpoint(
     assert not (tmp_path / "b").exists()
 
 
-def test_a_run_without_a_model_is_skipped(
-    trained: Path, toy_id: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], refuse: Refuse
-) -> None:
+def test_a_run_without_a_model_is_skipped(trained, toy_id, tmp_path, capsys, refuse):
     shutil.copytree(trained, tmp_path / "logs")
     runs = tmp_path / "logs" / "sacfd"
     killed, garbled = runs / f"{RUN_NAME[:-1]}2", runs / f"{RUN_NAME[:-1]}3"
@@ -104,7 +98,7 @@ def test_a_run_without_a_model_is_skipped(
 # ---- Models
 
 
-def test_a_damaged_model_is_named(run_folder: Path, tmp_path: Path, refuse: Refuse) -> None:
+def test_a_damaged_model_is_named(run_folder, tmp_path, refuse):
     shutil.copytree(run_folder, folder := tmp_path / RUN_NAME)
     content = (folder / "best_model.zip").read_bytes()
     for damaged in content[: len(content) // 2], b"", b"no archive":
@@ -113,14 +107,12 @@ def test_a_damaged_model_is_named(run_folder: Path, tmp_path: Path, refuse: Refu
             assert "best_model.zip" in refuse(command, str(folder))
 
 
-def test_an_agent_needs_its_observations(run_folder: Path, refuse: Refuse) -> None:
+def test_an_agent_needs_its_observations(run_folder, refuse):
     for command in ("enjoy", "record"):
         assert "agent" in refuse(command, str(run_folder), "--env-kwargs", "obs_size:64")
 
 
-def test_training_starts_from_a_model_with_other_hyperparameters(
-    train_tiny: Train, run_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_training_starts_from_a_model_with_other_hyperparameters(train_tiny, run_folder, tmp_path, capsys):
     model = str(run_folder / "best_model.zip")
     more = ["gamma:0.9", "n_steps:2", "replay_buffer_kwargs:{sampler: {shares: {expert_fraction: 0.25}}}"]
     assert train_tiny(tmp_path, *more, "n_envs:2", "-i", model) == 0
@@ -143,9 +135,7 @@ def test_training_starts_from_a_model_with_other_hyperparameters(
         ("sdqfd", STACKING, "FCN"),
     ],
 )
-def test_a_model_file_is_recognized(
-    name: str, env_id: str, policy: str, toy_id: str, tmp_path: Path, refuse: Refuse
-) -> None:
+def test_a_model_file_is_recognized(name, env_id, policy, toy_id, tmp_path, refuse):
     kwargs: dict[str, Any] = {}
     if env_id == "TOY":
         extractor = {"channels": [4, 8, 8, 8, 8], **({"features_dim": 6} if name == "ferm" else {})}
@@ -164,6 +154,6 @@ def test_a_model_file_is_recognized(
         assert "'sacc'" in refuse("enjoy", *words, "--algo", "sacc")
 
 
-def test_a_model_of_a_run_needs_no_env(run_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_model_of_a_run_needs_no_env(run_folder, capsys):
     assert main(["enjoy", str(run_folder / "best_model.zip"), "-n", "1", "--device", "cpu"]) == 0
     assert "success_rate=" in capsys.readouterr().out

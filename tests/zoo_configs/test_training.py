@@ -4,7 +4,7 @@ import io
 import os
 import sys
 import textwrap
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ import pytest
 import torch as th
 import yaml
 from stable_baselines3.common.callbacks import BaseCallback
-from sweeps import TINY, Train, same
+from sweeps import TINY, same
 
 from zoo_configs.algorithms import algorithm_classes
 from zoo_configs.cli import main
@@ -47,7 +47,7 @@ class Stop(BaseCallback):
 
 
 @pytest.fixture
-def train(toy_id: str, tmp_path: Path) -> TrainHere:
+def train(toy_id, tmp_path):
     """Trains the toy: ``train(*callbacks, at=..., seed=..., gamma=..., option=...)`` returns the run."""
 
     def run(*callbacks: BaseCallback, at: str | None = None, seed: int = 0, **changes: Any) -> Run:
@@ -69,9 +69,7 @@ def state(run: Run) -> State | None:
 # ---- From Python
 
 
-def test_trainings_in_a_process_are_independent_and_quiet(
-    train: TrainHere, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_trainings_in_a_process_are_independent_and_quiet(train, capsys):
     threads = th.get_num_threads()
     alone, other, again = train(), train(seed=1), train()
     assert same(alone.folder, again.folder) and not same(alone.folder, other.folder)
@@ -79,7 +77,7 @@ def test_trainings_in_a_process_are_independent_and_quiet(
     assert th.get_num_threads() == threads and capsys.readouterr().out == ""
 
 
-def test_a_chosen_folder_continues_from_its_checkpoint(train: TrainHere) -> None:
+def test_a_chosen_folder_continues_from_its_checkpoint(train):
     with pytest.raises(RuntimeError, match="pulled"):
         train(Stop(10, RuntimeError("the plug was pulled")), at="there")
     failed = load_run(train_folder := train(at="other").folder.parent / "there")
@@ -94,7 +92,7 @@ def test_a_chosen_folder_continues_from_its_checkpoint(train: TrainHere) -> None
             train(at="there", **changes)
 
 
-def test_work_before_the_first_checkpoint_is_not_counted_twice(train: TrainHere) -> None:
+def test_work_before_the_first_checkpoint_is_not_counted_twice(train):
     with pytest.raises(RuntimeError, match="pulled"):
         train(Stop(8, RuntimeError("the plug was pulled")), at="there", save_freq=100)
     runs = [train(at=at, save_freq=100) for at in ("there", "here")]
@@ -103,7 +101,7 @@ def test_work_before_the_first_checkpoint_is_not_counted_twice(train: TrainHere)
     assert ours.equals(theirs)
 
 
-def test_a_run_that_was_killed_at_its_very_end_is_done(train: TrainHere) -> None:
+def test_a_run_that_was_killed_at_its_very_end_is_done(train):
     """Model and last checkpoint exist, but the status does not say that it is done."""
     run, whole = train(at="a"), train(at="b")
     status = run.folder / "state.yml"
@@ -113,19 +111,19 @@ def test_a_run_that_was_killed_at_its_very_end_is_done(train: TrainHere) -> None
     assert state(train(at="a")) is State.DONE and same(run.folder, whole.folder)
 
 
-def test_a_run_that_fails_at_once_leaves_no_folder(train: TrainHere, tmp_path: Path) -> None:
+def test_a_run_that_fails_at_once_leaves_no_folder(train, tmp_path):
     with pytest.raises(RuntimeError):
         train(Stop(1, RuntimeError("early")), eval_freq=0, save_freq=0)
     assert not (tmp_path / "sacfd").exists()
 
 
-def test_ctrl_c_counts_as_killed(train: TrainHere) -> None:
+def test_ctrl_c_counts_as_killed(train):
     with pytest.raises(TrainingInterrupted) as stop:
         train(Stop(8, KeyboardInterrupt()))
     assert state(stop.value.run) is State.KILLED and stop.value.run.last_model.is_file()
 
 
-def test_run_folders_are_claimed_by_one_process(tmp_path: Path, toy_id: str, monkeypatch: Any) -> None:
+def test_run_folders_are_claimed_by_one_process(tmp_path, toy_id, monkeypatch):
     """Also if another process creates the folder between the listing and the claim."""
     assert claim_run_folder(tmp_path / "logs", toy_id).name == RUN_NAME
     monkeypatch.setattr(Path, "iterdir", lambda _: iter(()))
@@ -133,9 +131,7 @@ def test_run_folders_are_claimed_by_one_process(tmp_path: Path, toy_id: str, mon
 
 
 @pytest.mark.parametrize("algo", ["sacfd", "sac"])
-def test_rl_zoo3_evaluates_our_runs(
-    algo: str, toy_id: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_rl_zoo3_evaluates_our_runs(algo, toy_id, tmp_path, monkeypatch):
     enjoy, algos = pytest.importorskip("rl_zoo3.enjoy"), pytest.importorskip("rl_zoo3.utils").ALGOS
     monkeypatch.setitem(algos, algo, algorithm_classes()[algo])
     own: dict[str, Any] = {"policy": "MultiInputPolicy", "env_kwargs": {"obs_size": 48}, "expert_episodes": 2}
@@ -153,7 +149,7 @@ def test_rl_zoo3_evaluates_our_runs(
 # ---- Run folder of the command line
 
 
-def test_a_run_folder_is_complete(run_folder: Path, toy_id: str) -> None:
+def test_a_run_folder_is_complete(run_folder, toy_id):
     names = {path.name for path in run_folder.iterdir()}
     models = {"BulletArm-CloseLoopToy-v0.zip", "best_model.zip", "checkpoints"}
     reports = {"hyperparams.yml", "evaluations.npz", "training.csv", "learning_curve.png", "0.monitor.csv"}
@@ -179,9 +175,7 @@ def test_a_run_folder_is_complete(run_folder: Path, toy_id: str) -> None:
         assert np.isfinite(log[name]).tolist() == [False, True, True]
 
 
-def test_evaluation_has_the_parameters_but_not_the_scenes_of_training(
-    train_tiny: Train, tmp_path: Path, toy_envs: list[Any]
-) -> None:
+def test_evaluation_has_the_parameters_but_not_the_scenes_of_training(train_tiny, tmp_path, toy_envs):
     assert train_tiny(tmp_path, "expert_episodes:0", "pretrain_steps:0", "--baseline", "sac") == 0
     _, *evaluation, training = sorted(toy_envs, key=lambda env: 0 in env.seeds)
     assert {env.obs_size for env in toy_envs} == {48}
@@ -198,9 +192,7 @@ class Terminal(io.StringIO):
         return True
 
 
-def test_progress_bars_are_shown_on_terminals(
-    train_tiny: Train, run_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, toy_id: str
-) -> None:
+def test_progress_bars_are_shown_on_terminals(train_tiny, run_folder, tmp_path, monkeypatch, toy_id):
     words = ["train", "--baseline", "sacfd", "--preset", "cpu", "--env", toy_id, "-f", str(tmp_path / "b")]
     words += ["-n", "2", "--eval-freq", "0", "--device", "cpu", "--env-kwargs", "obs_size:48"]
     words += ["-params", "expert_episodes:2", "pretrain_steps:2", "batch_size:4", "buffer_size:100"]
@@ -231,9 +223,7 @@ RAD = ["augmentation:{rad: {size: 48}}", "contrastive_steps:2", "--env-kwargs", 
         ("sdqfd_equi_deictic_asr", "BulletArm/OpenLoopRampBlockStacking-v0", []),
     ],
 )
-def test_a_baseline_trains(
-    baseline: str, env_id: str, more: list[str], train_tiny: Train, tmp_path: Path
-) -> None:
+def test_a_baseline_trains(baseline, env_id, more, train_tiny, tmp_path):
     words = ["--baseline", baseline, "--env", env_id, "--eval-episodes", "1"]
     if "OpenLoop" in env_id:
         words += ["-n", "6", "--eval-freq", "3", "--save-freq", "3", "--env-kwargs", "num_objects:2"]
@@ -251,17 +241,13 @@ def test_a_baseline_trains(
         ("td3", "TOY", ["obs_size:48", "-params", "buffer_size:50", "learning_starts:4", "batch_size:4"]),
     ],
 )
-def test_a_stock_algorithm_trains(
-    algo: str, env_id: str, parameters: list[str], toy_id: str, tmp_path: Path
-) -> None:
+def test_a_stock_algorithm_trains(algo, env_id, parameters, toy_id, tmp_path):
     words = ["--algo", algo, "--env", env_id.replace("TOY", toy_id), "-f", str(tmp_path), "-n", "8"]
     options = ["--eval-freq", "-1", "--no-progress", "--device", "cpu", "--env-kwargs"]
     assert main(["train", *words, *options, *parameters]) == 0
 
 
-def test_enjoy_finds_the_run_of_an_algorithm(
-    toy_id: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_enjoy_finds_the_run_of_an_algorithm(toy_id, tmp_path, capsys):
     named = ["--algo", "tqc", "--env", toy_id, "-f", str(tmp_path), "--device", "cpu", "--no-progress"]
     size = ["-n", "2", "--eval-freq", "-1", "--preset", "cpu", "--env-kwargs", "obs_size:48", "--seed", "0"]
     params = ["expert_episodes:2", "pretrain_steps:0", "batch_size:4", "buffer_size:100", "n_envs:1"]
@@ -296,7 +282,7 @@ def forget() -> None:
 
 
 @pytest.fixture
-def own_tasks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def own_tasks(tmp_path, monkeypatch):
     """The working directory, with a module of tasks in it."""
     (tmp_path / f"{MODULE}.py").write_text(textwrap.dedent(TASKS))
     monkeypatch.chdir(tmp_path)
@@ -306,9 +292,7 @@ def own_tasks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]
     sys.path.remove(str(tmp_path))
 
 
-def test_a_run_stores_the_package_of_its_task(
-    own_tasks: Path, train_tiny: Train, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_stores_the_package_of_its_task(own_tasks, train_tiny, capsys):
     named = ["--env", f"{MODULE}:{OWN_ID}"]
     assert train_tiny(own_tasks / "logs", *named, "--baseline", "sacfd", "--eval-episodes", "1") == 0
     [run] = (own_tasks / "logs" / "sacfd").iterdir()
@@ -326,7 +310,7 @@ def test_a_run_stores_the_package_of_its_task(
         assert main(command) == 0, capsys.readouterr().err
 
 
-def test_commands_import_tasks_and_rewards(own_tasks: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_commands_import_tasks_and_rewards(own_tasks, capsys):
     words = ["demos", "--env", REACHING, "-n", "1", "--env-kwargs", "obs_size:32"]
     assert main(["list", "--env", OWN_ID, "--gym-packages", MODULE]) == 0
     assert main([*words, f"reward:{MODULE}:steps"]) == 0

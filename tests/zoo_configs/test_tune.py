@@ -3,7 +3,6 @@
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +34,6 @@ NAME = "sacfd_CloseLoopToy"
 EXPERIMENT = ["--baseline", "sacfd", "--preset", "quick", "--env-kwargs", "obs_size:48"]
 SIZE = ["-n", "6", "--eval-episodes", "1", "--n-evaluations", "2", "--n-startup-trials", "2"]
 TINY = ["-params", "expert_episodes:2", "pretrain_steps:1", "batch_size:4", "buffer_size:100", "n_envs:1"]
-Tune = Callable[..., int]
 # Registers, in a process of its own, a toy that stops once there is a checkpoint.
 HANGING = f"""
 import sys, time
@@ -54,7 +52,7 @@ gymnasium.register(toy_env.TOY_ID, Hanging)
 
 
 @pytest.fixture
-def tune(toy_id: str, tmp_path: Path) -> Tune:
+def tune(toy_id, tmp_path):
     """Searches two hyperparameters of a tiny experiment: ``tune(*more)`` returns the exit code."""
     (space := tmp_path / "space.yml").write_text(SPACE)
 
@@ -72,9 +70,7 @@ def states(folder: Path) -> list[str]:
 # ---- Studies
 
 
-def test_a_study_begins_with_the_baseline_and_ends_with_the_best(
-    tune: Tune, toy_id: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_study_begins_with_the_baseline_and_ends_with_the_best(tune, toy_id, tmp_path, capsys):
     assert tune("--n-trials", "1") == 0
     assert "trial" not in capsys.readouterr().err
     assert tune("--n-trials", "3", "-P") == 0
@@ -92,7 +88,7 @@ def test_a_study_begins_with_the_baseline_and_ends_with_the_best(
     assert main([*command, "-f", str(tmp_path / "logs"), "--no-progress", "--eval-freq", "0"]) == 0
 
 
-def test_a_study_of_a_seed_repeats_itself(tune: Tune, tmp_path: Path) -> None:
+def test_a_study_of_a_seed_repeats_itself(tune, tmp_path):
     """Also if it is stopped in between."""
     assert tune("--study-name", "whole", "--n-trials", "4") == 0
     for number in ("2", "4", "4"):
@@ -103,7 +99,7 @@ def test_a_study_of_a_seed_repeats_itself(tune: Tune, tmp_path: Path) -> None:
     assert trials_of(tmp_path, "other")[1].params != whole[1][0]
 
 
-def test_a_trial_of_a_killed_process_is_continued(tune: Tune, toy_id: str, tmp_path: Path) -> None:
+def test_a_trial_of_a_killed_process_is_continued(tune, toy_id, tmp_path):
     (tmp_path / "hanging.py").write_text(HANGING)
     words = ["tune", *EXPERIMENT, "--env", f"hanging:{toy_id}", "-f", str(tmp_path), "--num-threads", "1"]
     words += ["--space", str(tmp_path / "space.yml"), *SIZE, "--n-trials", "2", *TINY]
@@ -126,9 +122,7 @@ def test_a_trial_of_a_killed_process_is_continued(tune: Tune, toy_id: str, tmp_p
     assert folders == {"trial_0000", "trial_0002"}
 
 
-def test_a_study_without_a_complete_trial_fails(
-    tune: Tune, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_study_without_a_complete_trial_fails(tune, tmp_path, capsys):
     (tmp_path / "space.yml").write_text("tau: {choices: [x, y]}")
     assert tune("--n-trials", "2", "--pruner", "none") == 0  # the baseline
     assert states(tmp_path) == ["COMPLETE", "FAIL"]
@@ -137,16 +131,14 @@ def test_a_study_without_a_complete_trial_fails(
     assert "tau" in capsys.readouterr().err
 
 
-def test_a_trial_that_falls_behind_is_pruned(
-    tune: Tune, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_trial_that_falls_behind_is_pruned(tune, tmp_path, monkeypatch):
     monkeypatch.setattr(optuna.Trial, "should_prune", lambda trial: trial.number == 1)
     assert tune("--n-trials", "2") == 0
     assert states(tmp_path) == ["COMPLETE", "PRUNED"]
     assert trials_of(tmp_path, NAME)[1].last_step == 0  # stopped at its first evaluation
 
 
-def test_another_study_is_refused(tune: Tune, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_another_study_is_refused(tune, tmp_path, capsys):
     database = ["--storage", f"sqlite:///{tmp_path / 'study.db'}"]
     assert tune("--n-trials", "1", *database) == 0
     capsys.readouterr()
@@ -162,9 +154,7 @@ def test_another_study_is_refused(tune: Tune, tmp_path: Path, capsys: pytest.Cap
 
 
 @pytest.mark.parametrize("begun", ["trial", "attribute", "direction"])
-def test_a_study_of_another_program_is_refused_unchanged(
-    begun: str, tune: Tune, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_study_of_another_program_is_refused_unchanged(begun, tune, tmp_path, capsys):
     database = f"sqlite:///{tmp_path / 'study.db'}"
     direction = "minimize" if begun == "direction" else "maximize"
     foreign = optuna.create_study(storage=database, study_name="mine", direction=direction)
@@ -179,7 +169,7 @@ def test_a_study_of_another_program_is_refused_unchanged(
     assert (again.trials, again.user_attrs) == before
 
 
-def test_the_second_trial_differs_from_the_first_in_every_parameter(tune: Tune, tmp_path: Path) -> None:
+def test_the_second_trial_differs_from_the_first_in_every_parameter(tune, tmp_path):
     """Also in one that the baseline has no value of, which the first trial leaves out."""
     content = "tau: {low: 0.1, high: 0.2}\npolicy_kwargs.n_critics: {low: 1, high: 9}"
     (tmp_path / "space.yml").write_text(content)
@@ -195,12 +185,12 @@ def test_the_second_trial_differs_from_the_first_in_every_parameter(tune: Tune, 
 @pytest.mark.parametrize(
     "algo", [name for name in algorithm_classes() if name not in ("ars", "dqn", "qrdqn", "ppo_lstm")]
 )
-def test_an_algorithm_has_the_hyperparameters_of_its_space(algo: str) -> None:
+def test_an_algorithm_has_the_hyperparameters_of_its_space(algo):
     space = load_space(ExperimentConfig(algo, "Pendulum-v1", {}), {})
     assert len({parameter.name for parameter in space}) == len(space) >= 4
 
 
-def test_the_first_trial_of_every_experiment_is_the_baseline() -> None:
+def test_the_first_trial_of_every_experiment_is_the_baseline():
     """The space contains its values, and nothing that it does not use."""
     for names in ALL:
         experiment = resolve(*names)
@@ -214,7 +204,7 @@ def test_the_first_trial_of_every_experiment_is_the_baseline() -> None:
         assert imitates == ("bc_weight" in first) == ("bc_limit" in first), names
 
 
-def test_sampled_values_replace_those_of_the_baseline() -> None:
+def test_sampled_values_replace_those_of_the_baseline():
     """Others of the same mapping stay, and a schedule stays a schedule."""
     experiment = resolve("equi_sacfd", "cpu", PICKING)
     space = load_space(experiment, {})
@@ -230,7 +220,7 @@ def test_sampled_values_replace_those_of_the_baseline() -> None:
     assert all(value == baseline_value(name, experiment) for name, value in sampled.items())
 
 
-def test_values_of_the_command_line_are_not_searched() -> None:
+def test_values_of_the_command_line_are_not_searched():
     given = {"pretrain_steps": 4, "n_steps": 2}
     experiment = resolve("sacfd", "quick", PICKING, given)
     space = load_space(experiment, given)
@@ -249,9 +239,7 @@ def test_values_of_the_command_line_are_not_searched() -> None:
         ("{tau: {low: 1e-2, high: 1e-1}}", 0.005, (0.005, ())),
     ],
 )
-def test_a_space_is_extended_by_the_value_of_the_command_line(
-    space: str, value: Any, stored: tuple[Any, Any], tmp_path: Path
-) -> None:
+def test_a_space_is_extended_by_the_value_of_the_command_line(space, value, stored, tmp_path):
     [name] = parse_yaml(space)
     (file := tmp_path / "space.yml").write_text(space)
     experiment = resolve("sacfd", "quick", PICKING, {name: value})
@@ -260,7 +248,7 @@ def test_a_space_is_extended_by_the_value_of_the_command_line(
     assert first_values((parameter,), experiment) == {name: stored[0]}
 
 
-def test_whole_number_bounds_mean_whole_numbers_except_for_floats(tmp_path: Path) -> None:
+def test_whole_number_bounds_mean_whole_numbers_except_for_floats(tmp_path):
     names = ("batch_size", "n_envs", "gamma", "bc_weight")
     (file := tmp_path / "space.yml").write_text(yaml.safe_dump({key: {"low": 1, "high": 9} for key in names}))
     space = load_space(resolve("sacfd", "quick", PICKING, {"bc_weight": 3}), {}, file)
@@ -269,7 +257,7 @@ def test_whole_number_bounds_mean_whole_numbers_except_for_floats(tmp_path: Path
     assert whole == {"batch_size": True, "n_envs": True, "gamma": False, "bc_weight": False}
 
 
-def test_an_invalid_space_is_refused() -> None:
+def test_an_invalid_space_is_refused():
     bounds = ("{lo: 0.1, high: 1}", "{low: 1, high: 0}", "{low: 0, high: 1, log: true}")
     choices = ("0.9", "{choices: [], low: 1}")
     for space in ("[]", "{}", *(f"{{gamma: {value}}}" for value in (*bounds, *choices))):
