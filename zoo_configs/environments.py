@@ -40,8 +40,7 @@ def known_env_id(env_id: str) -> str:
 
 def package_of(env_id: str) -> list[str]:
     """Return a list with the package in front of an id, such as ``my_tasks:ID``, or an empty list."""
-    package = env_id.rpartition(":")[0]
-    return [package] if package else []
+    return list(filter(None, [env_id.rpartition(":")[0]]))
 
 
 def make_env(env_id: str, env_kwargs: Mapping[str, Any]) -> gym.Env[Any, Any]:

@@ -25,12 +25,7 @@ LOCK_SECONDS, LOCK_POLL = 180.0, 0.2
 STORAGE_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.ESTALE)
 """Errors that affect all runs."""
 LEAST_FREE = 1 << 20  # bytes
-PRELOADED = (
-    "zoo_configs.training.train",
-    "zoo_configs.environments",
-    "sb3_extensions.sacfd",
-    "torch._dynamo",
-)
+PRELOADED = ["zoo_configs.training.train", "sb3_extensions.sacfd", "torch._dynamo"]
 """Modules that the fork server imports once for all processes."""
 POLL = 0.5  # seconds
 GRACE = 60.0  # seconds in which interrupted runs save their state
@@ -59,7 +54,7 @@ class JobProcess:
     def __init__(self, job: Job, folder: Path, environ: Mapping[str, str] | None = None) -> None:
         # The fork server has imported PyTorch, but has neither threads nor a device.
         context = multiprocessing.get_context("forkserver")
-        context.set_forkserver_preload(list(PRELOADED))
+        context.set_forkserver_preload(PRELOADED)
         self.run_folder = folder / job.name
         arguments = (job, folder, dict(environ or {}))
         self._process: BaseProcess = context.Process(target=_work, args=arguments, name=job.name)

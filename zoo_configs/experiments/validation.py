@@ -88,10 +88,8 @@ def check_experiment(experiment: ExperimentConfig) -> None:
 
 def check_expert_data(experiment: ExperimentConfig, env: gym.Env[Any, Any]) -> None:
     """Raise ``CommandError`` if a file of demonstrations is damaged or has another task or parameters."""
-    path, episodes = (
-        values.get("expert_data")
-        for values in (experiment.hyperparams, load_expert_data(experiment.hyperparams))
-    )
+    path = experiment.hyperparams.get("expert_data")
+    episodes = load_expert_data(experiment.hyperparams).get("expert_data")
     config: Any = getattr(env.unwrapped, "config", None)
     if not isinstance(path, str) or episodes is None or config is None:
         return

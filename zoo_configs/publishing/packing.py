@@ -202,10 +202,8 @@ def _commit(commit: str) -> str:
 
 
 def _metadata(card: Card, name: str) -> dict[str, Any]:
-    metrics = {
-        "mean_reward": f"{card.mean_return:.2f} +/- {card.std_return:.2f}",
-        "success_rate": card.success,
-    }
+    mean_reward = f"{card.mean_return:.2f} +/- {card.std_return:.2f}"
+    metrics = {"mean_reward": mean_reward, "success_rate": card.success}
     over = {"config": f"{card.episodes} episodes", "verified": False}
     result = {
         "task": {"type": REINFORCEMENT_LEARNING, "name": REINFORCEMENT_LEARNING},

@@ -111,7 +111,7 @@ class Trainer:
 
     def write_configuration(self) -> None:
         """Write the hyperparameters with which rl_zoo3 loads a run."""
-        write_yaml(self.run.config_file, dict(sorted(self.hyperparams.items())))
+        write_yaml(self.run.params_folder / "config.yml", dict(sorted(self.hyperparams.items())))
 
     def close(self) -> None:
         """Close all environments."""
@@ -172,14 +172,13 @@ class Trainer:
         if values.get("noise_type") is not None:
             values["action_noise"] = action_noise(values["noise_type"], values["noise_std"], env.action_space)
         folder = self.options.tensorboard_log
+        tensorboard = str(Path(folder) / env_folder_name(self.run.experiment.env_id)) if folder else None
         return {
             **{key: value for key, value in values.items() if key not in TRAINER_KEYS},
             "seed": self.run.seed,
             "device": self.run.device,
             "verbose": self.verbose,
-            "tensorboard_log": str(Path(folder) / env_folder_name(self.run.experiment.env_id))
-            if folder
-            else None,
+            "tensorboard_log": tensorboard,
         }
 
 

@@ -108,13 +108,12 @@ def open_study(search: Search) -> optuna.Study:
     search.folder.mkdir(parents=True, exist_ok=True)
     with _alone(search.folder):
         with refused(f"--storage: {search.storage_name} cannot be opened"):
+            is_median = search.pruner == "median"
             study = optuna.create_study(
                 storage=_storage(search),
                 study_name=search.name,
                 direction="maximize",
-                pruner=MedianPruner(search.n_startup_trials, WARMUP)
-                if search.pruner == "median"
-                else NopPruner(),
+                pruner=MedianPruner(search.n_startup_trials, WARMUP) if is_median else NopPruner(),
                 load_if_exists=True,
             )
         if STUDY not in study.user_attrs:
