@@ -16,9 +16,10 @@ from optuna.storages.journal import JournalFileBackend, JournalStorage
 from optuna.trial import FrozenTrial
 from stable_baselines3.common.save_util import load_from_zip_file
 
-from zoo_configs.benchmarking.plan import Job, build_jobs, parse_plan
+from zoo_configs.benchmarking.plan import build_jobs, parse_plan
 from zoo_configs.environments import our_env_ids, register_environments
 from zoo_configs.experiments.families import families
+from zoo_configs.training.runs import Run
 from zoo_configs.training.state import State, run_status
 
 register_environments()
@@ -50,7 +51,7 @@ TINY: dict[str, Any] = {
 FLAGS = ("--gym-packages", "toy_tasks", "--device", "cpu", "--no-progress")
 
 
-def jobs_of(**keys: Any) -> list[Job]:
+def jobs_of(**keys: Any) -> list[Run]:
     return build_jobs(parse_plan("tiny.yml", {**TINY, **keys}), ["toy_tasks"], "cpu")
 
 

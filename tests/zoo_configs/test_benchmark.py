@@ -25,7 +25,7 @@ from zoo_configs.benchmarking.run import Overview, shown, size_of
 from zoo_configs.cli import main
 from zoo_configs.errors import CommandError
 from zoo_configs.provenance import versions
-from zoo_configs.training.runs import Run, find_runs, write_resolved
+from zoo_configs.training.runs import find_runs, write_resolved
 from zoo_configs.training.state import State, run_lock, run_status, set_status
 
 PICKING = "BulletArm/CloseLoopBlockPicking-v0"
@@ -50,7 +50,7 @@ def test_the_benchmarks_of_the_paper_have_its_baselines():
     jobs = build_jobs(plan)
     assert len(jobs) == 10 * 11 * 4 and "equi_tqc" not in plan.baselines
     assert {job.experiment.benchmark for job in jobs} == {"close_loop_4d"}
-    assert jobs[0].name == "CloseLoopBlockReaching/sac/seed_0"
+    assert str(jobs[0].folder) == "CloseLoopBlockReaching/sac/seed_0"
     six = read_plan("open_loop_6d")
     assert (len(six.tasks), len(six.baselines)) == (9, 8)
 
@@ -63,7 +63,7 @@ def test_a_plan_names_tasks_and_baselines_by_patterns():
     assert {job.experiment.label for job in jobs} == {"equi_sacfd", "sac"}
     assert {job.seed for job in jobs} == {3}
     plan = Plan(["OpenLoopBlockStacking", "OpenLoopRampBlockStacking"], ["sdqfd_*cnn_asr*"], seeds=1)
-    rows = [job.experiment_name for job in build_jobs(plan)]
+    rows = [str(job.folder.parent) for job in build_jobs(plan)]
     assert rows == ["OpenLoopBlockStacking/sdqfd_cnn_asr", "OpenLoopRampBlockStacking/sdqfd_cnn_asr_6d"]
     plan = replace(read_plan("close_loop_4d"), tasks=["CloseLoopBlock*"], baselines=["sacfd"], seeds=1)
     known = {row.env_id for row in BENCHMARKS["close_loop_4d"].environments if "LoopBlock" in row.env_id}
@@ -92,7 +92,7 @@ def test_a_dry_run_lists_sizes_and_writes_nothing(bench, tmp_path, capsys):
 
 def test_a_folder_that_is_locked_or_has_other_runs_is_refused(bench, tmp_path, capsys):
     [job] = jobs_of(seeds=1)
-    write_resolved(Run(tmp_path / "out" / job.name, job.experiment, 0))
+    write_resolved(replace(job, folder=tmp_path / "out" / job.folder))
     assert bench(hyperparams={**TINY["hyperparams"], "gamma": 0.5}) == 2
     assert "hyperparams" in capsys.readouterr().err
     with run_lock(tmp_path / "out"):
@@ -106,7 +106,7 @@ def test_a_folder_that_is_locked_or_has_other_runs_is_refused(bench, tmp_path, c
 def test_the_overview_is_read_from_the_folders(tmp_path, capsys):
     jobs = jobs_of(seeds=3)
     overview = Overview(jobs, tmp_path)
-    running, failed, _ = (tmp_path / job.name for job in jobs)
+    running, failed, _ = (tmp_path / job.folder for job in jobs)
     set_status(failed, State.FAILED, "the block is lost")
     running.mkdir()
     with run_lock(running), shown(overview, progress=True) as look:
@@ -192,7 +192,7 @@ def test_a_full_disk_ends_the_benchmark_and_no_run(bench, tmp_path, capsys):
 def test_an_interrupted_run_is_killed_with_a_checkpoint(tmp_path):
     options = {**TINY["options"], "n_timesteps": 60, "save_freq": 6}
     [job] = jobs_of(tasks=["CloseLoopToySlow"], seeds=1, options=options)
-    process, folder = JobProcess(job, tmp_path), tmp_path / job.name
+    process, folder = JobProcess(job, tmp_path), tmp_path / job.folder
     wait_for(lambda: any(folder.glob("checkpoints/checkpoint_*")))
     process.interrupt()
     assert process.wait(60) and process.exit_code() is ExitCode.INTERRUPTED
@@ -222,7 +222,7 @@ def test_a_killed_benchmark_loses_nothing(seed, kills, how, bench, tmp_path):
         wait_for(lambda: not any(is_running(folder) for folder in out.glob("*/*/seed_*")))
     assert bench("-j", "2", **plan) == 0
     runs = find_runs(out)
-    assert {str(run.folder.relative_to(out)) for run in runs} == {job.name for job in jobs_of(**plan)}
+    assert {str(run.folder.relative_to(out)) for run in runs} == {str(job.folder) for job in jobs_of(**plan)}
     whole = ["-f", str(tmp_path / "whole"), *FLAGS, "-j", "2"]
     assert main(["benchmark", str(tmp_path / "tiny.yml"), *whole]) == 0
     for run in runs:
@@ -278,8 +278,8 @@ def test_a_run_that_is_lost_again_and_again_fails(tmp_path, monkeypatch):
     job = jobs_of()[0]
     codes = [cluster.train(job, tmp_path, "token") for _ in range(4)]
     assert codes == [ExitCode.INTERRUPTED] * 3 + [ExitCode.FAILED]
-    assert "3 times" in run_status(tmp_path / job.name).error  # type: ignore[union-attr]
-    (tmp_path / job.name / "checkpoints" / "checkpoint_6").mkdir(parents=True)
+    assert "3 times" in run_status(tmp_path / job.folder).error  # type: ignore[union-attr]
+    (tmp_path / job.folder / "checkpoints" / "checkpoint_6").mkdir(parents=True)
     assert cluster.train(job, tmp_path, "token") == ExitCode.INTERRUPTED  # it has progressed
 
 

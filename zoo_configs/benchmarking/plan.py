@@ -16,7 +16,7 @@ from zoo_configs.experiments.families import family_of, task_name
 from zoo_configs.experiments.flags import default_preset
 from zoo_configs.files import read_yaml
 from zoo_configs.training.options import TrainingOptions
-from zoo_configs.training.runs import SEED_PREFIX
+from zoo_configs.training.runs import SEED_PREFIX, Run
 
 SEEDS = 4  # paper: the captions of its learning curves
 PATTERN = "*?["
@@ -47,35 +47,6 @@ class Plan:
     benchmark: str | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
     hyperparams: Mapping[str, Any] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Job:
-    """
-    One run of a benchmark.
-
-    :param experiment: The experiment
-    :param seed: Seed of model and environments
-    :param options: Options of the training
-    :param gym_packages: Packages that register the environment, in addition to ours
-    :param device: PyTorch device
-    """
-
-    experiment: ExperimentConfig
-    seed: int
-    options: TrainingOptions
-    gym_packages: tuple[str, ...] = ()
-    device: str = "auto"
-
-    @property
-    def experiment_name(self) -> str:
-        """Task and baseline."""
-        return f"{task_name(self.experiment.env_id)}/{self.experiment.label}"
-
-    @property
-    def name(self) -> str:
-        """Folder of the run within that of the benchmark: task, baseline, seed."""
-        return f"{self.experiment_name}/{SEED_PREFIX}{self.seed}"
 
 
 def read_plan(name: str) -> Plan:
@@ -114,9 +85,11 @@ def parse_plan(where: str, content: Any) -> Plan:
 
 def build_jobs(
     plan: Plan, gym_packages: Sequence[str] = (), device: str = "auto", num_threads: int = 1
-) -> list[Job]:
+) -> list[Run]:
     """
     Return the runs of a plan in the order in which they start.
+
+    Their folders, ``<task>/<baseline>/seed_<n>``, are relative to that of the benchmark.
 
     Runs that follow each other have different tasks or seeds, so that each set of demonstrations is collected
     only once.
@@ -134,13 +107,18 @@ def build_jobs(
         for label in _baselines(plan, task)
     ]
     options = {"num_threads": num_threads, **plan.options}
+    packages = tuple(gym_packages)
     return [
-        Job(experiment, seed, TrainingOptions.of(experiment, options), tuple(gym_packages), device)
+        Run(_folder(one, seed), one, seed, device, TrainingOptions.of(one, options), packages)
         for label in dict.fromkeys(experiment.label for experiment in experiments)
         for seed in _seeds(plan.seeds)
-        for experiment in experiments
-        if experiment.label == label
+        for one in experiments
+        if one.label == label
     ]
+
+
+def _folder(experiment: ExperimentConfig, seed: int) -> Path:
+    return Path(task_name(experiment.env_id), experiment.label, f"{SEED_PREFIX}{seed}")
 
 
 def _tasks(wanted: str, benchmark: str | None) -> list[str]:

@@ -13,7 +13,6 @@ from tqdm import tqdm
 
 from zoo_configs.algorithms import algorithm_classes, class_from_path
 from zoo_configs.arguments import hides_progress
-from zoo_configs.benchmarking.plan import Job
 from zoo_configs.environments import make_env, try_env
 from zoo_configs.errors import CommandError, refused
 from zoo_configs.experiments.validation import check_experiment
@@ -22,7 +21,7 @@ from zoo_configs.training.runs import EVALUATIONS_FILE, RESOLVED_FILE, Run, load
 from zoo_configs.training.state import LOCK_FILE, State, run_lock, run_status, set_status
 from zoo_configs.training.train import check_same
 
-Runner = Callable[[Sequence[Job], Callable[[], None]], None]
+Runner = Callable[[Sequence[Run], Callable[[], None]], None]
 """Function that trains runs and regularly calls another function."""
 GIGABYTE = 1e9
 PROCESS_GIGABYTES = 1.0
@@ -43,13 +42,13 @@ class Size(NamedTuple):
     disk: float
 
 
-def size_of(job: Job) -> Size:
+def size_of(job: Run) -> Size:
     """Return the size of a run, which depends mainly on its replay buffer."""
     buffer = _buffer_gigabytes(job)
     return Size(PROCESS_GIGABYTES + buffer, CHECKPOINTS * buffer if job.options.save_freq > 0 else 0.0)
 
 
-def _buffer_gigabytes(job: Job) -> float:
+def _buffer_gigabytes(job: Run) -> float:
     """Return the size of the part of the replay buffer that the run fills."""
     from sb3_extensions.replay.buffer import ExpertReplayBuffer
     from zoo_configs.training.objects import import_classes
@@ -68,19 +67,18 @@ def _buffer_gigabytes(job: Job) -> float:
         longest = int(getattr(getattr(env.unwrapped, "config", None), "max_steps", 0))
         # The buffer allocates no memory before the first transition.
         buffer = cls(capacity, *spaces, "cpu", n_envs=n_envs, gamma=0.99, seed=0, **kwargs)
-    steps = job.options.n_timesteps if job.options.n_timesteps > 0 else int(hyperparams["n_timesteps"])
-    steps += int(hyperparams.get("expert_episodes", 0)) * longest
+    steps = job.n_timesteps + int(hyperparams.get("expert_episodes", 0)) * longest
     return float(buffer.table.nbytes) * min(1.0, steps / capacity) / GIGABYTE
 
 
-def check_jobs(jobs: Sequence[Job], folder: Path) -> None:
+def check_jobs(jobs: Sequence[Run], folder: Path) -> None:
     """
     Check names and values of each experiment, each environment, and the folder of the benchmark.
 
     :raises CommandError: if a run cannot be trained, or the folder contains other runs
     """
     tried = set()
-    for job in {job.experiment_name: job for job in jobs}.values():
+    for job in {job.folder.parent: job for job in jobs}.values():
         check_experiment(job.experiment)
         env_kwargs = job.experiment.hyperparams.get("env_kwargs", {})
         key = job.experiment.env_id, json.dumps(env_kwargs, sort_keys=True, default=str)
@@ -91,9 +89,9 @@ def check_jobs(jobs: Sequence[Job], folder: Path) -> None:
         raise CommandError(f"--log-folder must be a folder, got the file {folder}")
     check_writable(folder / LOCK_FILE, "--log-folder")
     for job in jobs:
-        place = folder / job.name
+        place = folder / job.folder
         if (place / RESOLVED_FILE).is_file():
-            check_same(load_run(place), Run(place, job.experiment, job.seed))
+            check_same(load_run(place), job)
 
 
 class Entry(NamedTuple):
@@ -113,9 +111,9 @@ class Overview:
     :param folder: Folder of the benchmark
     """
 
-    def __init__(self, jobs: Sequence[Job], folder: Path) -> None:
+    def __init__(self, jobs: Sequence[Run], folder: Path) -> None:
         self.folder = folder
-        self.entries = {job.name: Entry(job.name) for job in jobs}
+        self.entries = {str(job.folder): Entry(str(job.folder)) for job in jobs}
 
     def update(self) -> list[Entry]:
         """Read the folders of all runs that were not done, and return the entries that have changed."""
@@ -177,7 +175,7 @@ def shown(overview: Overview, progress: bool | None = None) -> Iterator[Callable
 
 
 def train_jobs(
-    jobs: Sequence[Job],
+    jobs: Sequence[Run],
     folder: Path,
     runner: Runner,
     retry_failed: bool = False,
@@ -201,6 +199,6 @@ def train_jobs(
         ended = {entry.name for entry in overview.of(*ENDED)}
         print(f"{folder}: {overview.counts()}", file=sys.stderr)
         with shown(overview, progress) as look:
-            runner([job for job in jobs if job.name not in ended], look)
+            runner([job for job in jobs if str(job.folder) not in ended], look)
     overview.update()
     return overview
