@@ -114,10 +114,11 @@ def pack(
     :raises CommandError: if the agent cannot be tested
     """
     assert agent.run is not None
-    run, name = agent.run, f"{agent.run.experiment.algo}-{env_folder_name(agent.env_id)}.zip"
+    run = agent.run
+    name = f"{run.experiment.algo}-{env_folder_name(agent.env_id)}.zip"  # huggingface_sb3's ModelName
 
     def store(half: bool) -> tuple[str, Outcome]:
-        weights = save_compact(agent.model, folder / name, half)  # huggingface_sb3's ModelName
+        weights = save_compact(agent.model, folder / name, half)
         stored = load_model(folder / name, run.experiment.algo, device)
         return weights, evaluate_agent(replace(agent, model=stored), options)
 
