@@ -52,12 +52,12 @@ def _find(path: str) -> Any:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_names_exist(page: Path) -> None:
+def test_names_exist(page):
     for name in NAME.findall(page.read_text(encoding="utf-8")):
         _find(name)
 
 
-def test_signatures_of_the_task_guide_are_the_codes() -> None:
+def test_signatures_of_the_task_guide_are_the_codes():
     """Arguments in their order, and which of them have defaults."""
     found = SIGNATURE.findall((ROOT / "docs" / "guides" / "task.md").read_text(encoding="utf-8"))
     assert len(found) > 10
@@ -70,7 +70,7 @@ def test_signatures_of_the_task_guide_are_the_codes() -> None:
             assert bool(default) == is_optional, f"{name}: {argument}"
 
 
-def test_provenance_tells_the_numbers_of_the_code() -> None:
+def test_provenance_tells_the_numbers_of_the_code():
     found = NUMBER.findall((ROOT / "docs" / "provenance.md").read_text(encoding="utf-8"))
     assert len(found) > 60
     for name, value in found:
@@ -80,12 +80,12 @@ def test_provenance_tells_the_numbers_of_the_code() -> None:
 @pytest.mark.parametrize(
     "page", [*PAGES, ROOT / "CONTRIBUTING.md"], ids=lambda page: str(page.relative_to(ROOT))
 )
-def test_figures_are_those_of_the_data(page: Path) -> None:
+def test_figures_are_those_of_the_data(page):
     """``make tables`` fills the pages."""
     assert filled(page) == page.read_text(encoding="utf-8")
 
 
-def test_the_migration_guide_has_every_environment_and_parameter_of_the_paper() -> None:
+def test_the_migration_guide_has_every_environment_and_parameter_of_the_paper():
     page = (ROOT / "docs" / "guides" / "migration.md").read_text(encoding="utf-8")
     ids = re.findall(r"^\| `[a-z_0-9]+` \| `((?:Open|Close)Loop\w+)`", page, re.MULTILINE)
     assert sorted(f"BulletArm/{name}-v0" for name in ids) == sorted(bulletarm_gym.PAPER_IDS)
@@ -97,7 +97,7 @@ def test_the_migration_guide_has_every_environment_and_parameter_of_the_paper() 
 @pytest.mark.parametrize(
     "page", [p for p in PAGES if _snippets(p)], ids=lambda page: str(page.relative_to(ROOT))
 )
-def test_snippets_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_snippets_run(page, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.chdir(tmp_path)
     known = set(sys.modules)

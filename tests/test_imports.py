@@ -68,16 +68,15 @@ def _imported(path: Path) -> Iterator[str]:
 def _own(path: Path) -> set[str]:
     """Modules and subpackages of ``bulletarm_gym`` that a file imports; other names are of ``__init__``."""
     names = {name.split(".")[1] for name in _imported(path) if name.startswith("bulletarm_gym.")}
-    return {name if (GYM / name).is_dir() or (GYM / f"{name}.py").exists() else "__init__" for name in names}
+    return {name if name in LEVEL else "__init__" for name in names}
 
 
-def _files() -> list[tuple[str, Path]]:
-    """Files of ``bulletarm_gym`` with their module or subpackage."""
-    return [(path.relative_to(GYM).parts[0].removesuffix(".py"), path) for path in sorted(GYM.rglob("*.py"))]
+FILES = [(path.relative_to(GYM).parts[0].removesuffix(".py"), path) for path in sorted(GYM.rglob("*.py"))]
+"""Files of ``bulletarm_gym`` with their module or subpackage."""
 
 
 @pytest.mark.parametrize("package", FORBIDDEN)
-def test_packages_import_one_way(package: str) -> None:
+def test_packages_import_one_way(package):
     paths = sorted((ROOT / package).rglob("*.py"))
     assert paths
     for path in paths:
@@ -85,24 +84,24 @@ def test_packages_import_one_way(package: str) -> None:
         assert not names & set(FORBIDDEN[package].split()), path
 
 
-def test_modules_import_one_way() -> None:
+def test_modules_import_one_way():
     graph: dict[str, set[str]] = {}
-    for module, path in _files():
+    for module, path in FILES:
         imported = _own(path)
         assert all(LEVEL[name] <= LEVEL[module] for name in imported), f"{path} imports {imported}"
         graph.setdefault(module, set()).update(imported - {module})
     graphlib.TopologicalSorter(graph).prepare()  # raises CycleError with the circle
 
 
-def test_only_simulation_uses_the_engine() -> None:
-    for module, path in _files():
+def test_only_simulation_uses_the_engine():
+    for module, path in FILES:
         if module != "simulation":
             attributes = {node.attr for node in ast.walk(_tree(path)) if isinstance(node, ast.Attribute)}
             assert not {name.split(".")[0] for name in _imported(path)} & ENGINE, path
             assert "client" not in attributes, f"{path} uses PyBullet's client"
 
 
-def test_importing_the_package_is_light() -> None:
+def test_importing_the_package_is_light():
     heavy = ["pybullet", "numba", "torch", "stable_baselines3", "h5py", "matplotlib"]
     code = f"import sys, bulletarm_gym; print(sorted(set({heavy}) & set(sys.modules)))"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -1,4 +1,4 @@
-"""Learners accept images of both types and numbers from sensors."""
+"""Learners accept images of both types and numbers from sensors, and several tasks at once."""
 
 from typing import Any
 
@@ -6,15 +6,16 @@ import gymnasium
 import numpy as np
 import pytest
 import torch as th
-from stable_baselines3 import SAC
 from stable_baselines3.common.preprocessing import is_image_space, preprocess_obs
 from stable_baselines3.common.utils import obs_as_tensor
+from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecMonitor
 
-import bulletarm_gym  # noqa: F401 (registers the environments)
+from bulletarm_gym.vector import make_multi_task_vec
 from sb3_extensions.encoders.extractors import CnnExtractor, EquivariantExtractor
 from sb3_extensions.encoders.observation import StackedImage
 from sb3_extensions.sacfd import SACfD
 
+TASKS = [f"BulletArm/CloseLoop{task}-v0" for task in ("BlockReaching", "BlockPicking", "BlockPushing")]
 COLOURS = ["heightmap", "color", "holding"]
 IMAGES = [*COLOURS, "segmentation", {"name": "rgb", "size": 24}]
 CNN = {"features_extractor_kwargs": {"channels": (4, 4, 4, 4, 8)}}
@@ -101,8 +102,13 @@ def test_sacfd_learns_from_colours_and_keeps_them_exactly(policy, observation, p
     env.close()
 
 
-def test_stock_sac_learns_from_colours():
-    env = make(COLOURS)
-    settings = {"learning_starts": 4, "batch_size": 4, "buffer_size": 50, "seed": 0}
-    assert SAC("MultiInputPolicy", env, device="cpu", **settings).learn(8)._n_updates == 4
-    env.close()
+@pytest.mark.parametrize("kind", [DummyVecEnv, SubprocVecEnv])
+def test_demonstrations_come_from_each_task_in_proportion(kind):
+    vec_env = VecMonitor(make_multi_task_vec(TASKS, 2 if kind is DummyVecEnv else 1, kind, obs_size=64))
+    model = SACfD("EquivariantPolicy", vec_env, expert_episodes=6, policy_kwargs=EQUIVARIANT, seed=0).learn(6)
+    buffer: Any = model.replay_buffer
+    table, rows = buffer.table, slice(0, buffer.table.n_pinned)
+    ends = table.observations["task_id"][rows][~table.columns["valid"][rows]]  # an episode ends in such a row
+    vec_env.close()
+    np.testing.assert_array_equal(ends.sum(axis=0), [2, 2, 2])
+    assert len(ends) == 6

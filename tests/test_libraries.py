@@ -6,8 +6,8 @@ import runpy
 import subprocess
 import sys
 import venv
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
@@ -25,15 +25,11 @@ for name in ("nms", "qnms"):
 """
 
 
-@dataclass(frozen=True)
-class Library:
-    """Requirements and output of a script.
+class Library(NamedTuple):
+    """Missing module if the library is not installed, pattern of the output, and requirements of a script.
 
-    :param module: module that is missing if the library is not installed
-    :param output: pattern of its output
-    :param packages: requirements to install
-    :param bare: requirements to install without their dependencies
-    :param unpinned: packages in other versions than those of constraints.txt
+    Those in ``bare`` are installed without their dependencies, those in ``unpinned`` in other versions than
+    those of constraints.txt.
     """
 
     module: str
@@ -87,7 +83,7 @@ LIBRARIES = {
 OF_THEIR_OWN = [script for script, library in LIBRARIES.items() if library.packages]
 
 
-def test_page_includes_every_script() -> None:
+def test_page_includes_every_script():
     """Each from its third line, behind the docstring."""
     page = PAGE.read_text(encoding="utf-8")
     assert {path.stem for path in SCRIPTS.glob("*.py")} == LIBRARIES.keys()
@@ -98,7 +94,7 @@ def test_page_includes_every_script() -> None:
 
 
 @pytest.mark.parametrize("script", LIBRARIES)
-def test_script_with_our_packages(script: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_script_with_our_packages(script, tmp_path, capsys):
     if script in OF_THEIR_OWN:
         pytest.importorskip(LIBRARIES[script].module)
         _run(script, sys.executable, tmp_path)
@@ -109,7 +105,7 @@ def test_script_with_our_packages(script: str, tmp_path: Path, capsys: pytest.Ca
 
 @pytest.mark.slow
 @pytest.mark.parametrize("script", OF_THEIR_OWN)
-def test_script_in_an_environment_of_its_own(script: str, tmp_path: Path) -> None:
+def test_script_in_an_environment_of_its_own(script, tmp_path):
     library = LIBRARIES[script]
     venv.create(tmp_path / "venv", with_pip=True)
     python = tmp_path / "venv" / "bin" / "python"

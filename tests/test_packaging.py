@@ -37,7 +37,7 @@ print(bulletarm_gym.__file__)
 
 
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def wheel(tmp_path_factory):
     """Build the wheel from a copy, so that nothing is left in the checkout."""
     source, output = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("dist")
     for package in PACKAGES:
@@ -50,7 +50,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return built
 
 
-def test_wheel_holds_the_files_of_the_packages_and_nothing_else(wheel: Path) -> None:
+def test_wheel_holds_the_files_of_the_packages_and_nothing_else(wheel):
     held = set(zipfile.ZipFile(wheel).namelist())
     suffixes = {".py", ".typed", ".yml", ".csv", ".urdf", ".obj", ".zip", ".json", ".md"}
     wanted = {
@@ -66,14 +66,14 @@ def test_wheel_holds_the_files_of_the_packages_and_nothing_else(wheel: Path) -> 
 
 
 @pytest.fixture(scope="module")
-def unpacked(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def unpacked(wheel, tmp_path_factory):
     folder = tmp_path_factory.mktemp("unpacked")
     zipfile.ZipFile(wheel).extractall(folder)
     return folder
 
 
 @pytest.fixture(scope="module")
-def run(unpacked: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
+def run(unpacked, tmp_path_factory):
     """Runs Python with the unpacked wheel and what an extra of it requires, and with no other package."""
     (info,) = unpacked.glob("*.dist-info")
 
@@ -107,7 +107,7 @@ def required(requirements: list[str], extra: str) -> set[str]:
     return set(found) - {"bulletarm-gym"}
 
 
-def test_environments_run_with_the_base_alone(run: Run, unpacked: Path) -> None:
+def test_environments_run_with_the_base_alone(run, unpacked):
     (info,) = unpacked.glob("*.dist-info")
     packages = required(metadata.Distribution.at(info).requires or [], "")
     assert len(packages) <= MAX_BASE_PACKAGES and "torch" not in packages
@@ -117,7 +117,7 @@ def test_environments_run_with_the_base_alone(run: Run, unpacked: Path) -> None:
 
 
 @pytest.mark.parametrize("extra", ["", "sb3", "zoo"])
-def test_what_is_not_installed_names_its_extra(run: Run, extra: str) -> None:
+def test_what_is_not_installed_names_its_extra(run, extra):
     learners = run(extra, "-c", "import sb3_extensions.sacfd.sacfd")
     command = run(extra, "-m", "zoo_configs.cli", "list", "--baselines")
     assert (learners.returncode == 0) == (extra in ("sb3", "zoo")), learners.stderr
@@ -129,23 +129,19 @@ def test_what_is_not_installed_names_its_extra(run: Run, extra: str) -> None:
         assert "bulletarm-gym[zoo]" in command.stderr
 
 
-def test_command_line_runs_a_published_agent_with_its_extra_alone(run: Run, unpacked: Path) -> None:
-    command = ("-m", "zoo_configs.cli", "enjoy", "--published", "CloseLoopBlockReaching", "-n", "1")
-    ran = run("zoo", *command)
+def test_command_line_runs_a_published_agent_with_its_extra_alone(run, unpacked):
+    ran = run("zoo", "-m", "zoo_configs.cli", "enjoy", "--published", "CloseLoopBlockReaching", "-n", "1")
     assert ran.returncode == 0, ran.stderr
     assert str(unpacked) in ran.stdout  # that agent, not the checkout's
     assert ran.stdout.strip().endswith("success_rate=1.00 episodes=1")
 
 
-def test_tested_versions_take_every_python_3_11() -> None:
+def test_tested_versions_take_every_python_3_11():
     """A version that asks for a later patch than a distribution's (Debian 12: 3.11.2) breaks `make test`."""
     lines = (ROOT / "constraints.txt").read_text().splitlines()
-    names = [Requirement(line).name for line in lines if line and not line.startswith("#")]
+    names = {Requirement(line).name.lower() for line in lines if line and not line.startswith("#")}
     known = {distribution.name.lower(): distribution.metadata for distribution in metadata.distributions()}
-    needed = {
-        name: known[name.lower()].json.get("requires_python") for name in names if name.lower() in known
-    }
-    assert len(needed) > len(names) / 2
-    assert {
-        name for name, python in needed.items() if "3.11.0" not in SpecifierSet(str(python or ""))
-    } == set()
+    assert len(names & known.keys()) > len(names) / 2
+    for name in names & known.keys():
+        python = known[name].json.get("requires_python")
+        assert "3.11.0" in SpecifierSet(str(python or "")), name

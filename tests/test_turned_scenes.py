@@ -13,27 +13,17 @@ from gymnasium import spaces
 import bulletarm_gym  # noqa: F401  registers the environments
 from bulletarm_gym.geometry import Pose
 from sb3_extensions.replay.rotation import rotate_images
-from sb3_extensions.replay.samples import ExpertReplayBufferSamples
 from sb3_extensions.sacfd import SACfD
-from sb3_extensions.spatial_dqn import EquivariantASRPolicy, EquivariantFCNPolicy, RotFCNPolicy
-from sb3_extensions.spatial_dqn.augmentation import RigidMotion
-from sb3_extensions.spatial_dqn.codec import SpatialActionCodec
-from sb3_extensions.spatial_dqn.policies import SpatialPolicy
+from sb3_extensions.spatial_dqn import EquivariantASRPolicy
 
 CLOSE_LOOP = [f"BulletArm/CloseLoopBlock{name}-v0" for name in ("Picking", "Pulling")]
 OPEN_LOOP = "BulletArm/OpenLoopHouseBuilding2-v0"
 SIZE, SIDE, YAWS = 48, 12, 4
 TOLERANCE = 1e-4
 ACTION = np.array([0.3, 0.7, -0.4, 0.2, 0.6], np.float32)
-EQUIVARIANT = {"fields": [4, 4, 6], "in_hand_channels": [4, 4, 6, 6]}
-NETWORKS: dict[str, tuple[type[SpatialPolicy], dict[str, Any]]] = {
-    "ASR": (
-        EquivariantASRPolicy,
-        {**EQUIVARIANT, "hidden": [16, 16], "patch_fields": [4, 4, 6, 4], "pool_encoding": True}
-        | {"patch_channels": [4, 4, 6, 6], "patch_hidden": [16, 8]},
-    ),
-    "FCN": (EquivariantFCNPolicy, {**EQUIVARIANT, "hidden": 16}),
-    "Rot FCN": (RotFCNPolicy, {"channels": [4, 6, 8], "in_hand_channels": [4, 4, 6]}),
+NETWORK = {
+    **{"fields": [4, 4, 6], "in_hand_channels": [4, 4, 6, 6], "hidden": [16, 16], "pool_encoding": True},
+    **{"patch_fields": [4, 4, 6, 4], "patch_channels": [4, 4, 6, 6], "patch_hidden": [16, 8]},
 }
 Observation = dict[str, Any]
 
@@ -45,12 +35,12 @@ def make_env(env_id: str, **sizes: int) -> Iterator[Any]:
 
 
 @pytest.fixture(scope="module", params=CLOSE_LOOP)
-def env(request: pytest.FixtureRequest) -> Iterator[Any]:
+def env(request):
     yield from make_env(request.param, obs_size=64)
 
 
 @pytest.fixture(scope="module")
-def open_loop() -> Iterator[Any]:
+def open_loop():
     yield from make_env(OPEN_LOOP, obs_size=SIZE, in_hand_size=SIDE)
 
 
@@ -82,7 +72,7 @@ def look_twice(env: Any, angle: float, mirror: bool = False) -> tuple[Observatio
 
 
 @pytest.fixture(scope="module", params=[("cyclic", 4), ("cyclic", 8), ("dihedral", 4)], ids=str)
-def model(request: pytest.FixtureRequest) -> SACfD:
+def model(request):
     group, n = request.param
     kwargs = {"features_extractor_kwargs": {"group": group, "n": n, "channels": [4, 4, 8, 8, 8]}}
     made = gym.make(CLOSE_LOOP[0], obs_size=64)
@@ -99,7 +89,7 @@ def outputs(model: SACfD, observation: Observation, action: Any) -> np.ndarray:
 
 
 @pytest.mark.parametrize("mirror", [False, True])
-def test_actor_moves_with_the_scene_and_the_critic_is_invariant(env: Any, model: SACfD, mirror: bool) -> None:
+def test_actor_moves_with_the_scene_and_the_critic_is_invariant(env, model, mirror):
     before, after = look_twice(env, 0.0 if mirror else math.pi / 2, mirror)
     if not mirror:
         np.testing.assert_array_equal(np.rot90(before["heightmap"], 1, axes=(1, 2)), after["heightmap"])
@@ -114,7 +104,7 @@ def test_actor_moves_with_the_scene_and_the_critic_is_invariant(env: Any, model:
 
 
 @pytest.mark.parametrize("angle", [0.5, 2.5, 4.0])
-def test_rotated_samples_equal_a_rotated_scene(env: Any, angle: float) -> None:
+def test_rotated_samples_equal_a_rotated_scene(env, angle):
     before, after = look_twice(env, angle)
     angles = np.arange(0, 2 * math.pi, 0.1)
     images = th.from_numpy(before["heightmap"]).expand(len(angles), -1, -1, -1)
@@ -125,27 +115,7 @@ def test_rotated_samples_equal_a_rotated_scene(env: Any, angle: float) -> None:
     assert math.isclose(angles[errors.argmin()], angle) and errors.min() < 0.4 * np.median(errors)
 
 
-# Networks and samples of open-loop control
-
-
-def make_policy(env: Any, kind: str, sequence: str = "pxyr") -> SpatialPolicy:
-    """Return random networks for the observations of an environment."""
-    policy, network_kwargs = NETWORKS[kind]
-    parts = dict(env.observation_space.spaces)
-    parts["in_hand"] = spaces.Box(0.0, 0.4, (1 if sequence == "pxyr" else 3, SIDE, SIDE), np.float32)
-    kwargs: dict[str, Any] = {"codec_kwargs": {"num_rotations": YAWS}, "standardise": (0.0, 0.02)}
-    th.manual_seed(0)
-    actions = spaces.Box(-1.0, 1.0, (len(sequence),), np.float32)
-    kwargs |= {"action_sequence": sequence, "network_kwargs": network_kwargs, "quantise": None}
-    return policy(spaces.Dict(parts), actions, lambda _: 0.0, **kwargs)
-
-
-def batches(env: Any, angle: float, mirror: bool = False, channels: int = 1) -> list[dict[str, th.Tensor]]:
-    """Return two samples of each scene: with an empty and with a holding gripper."""
-    in_hand = 0.05 * th.rand(1, 3, SIDE, SIDE, generator=th.Generator().manual_seed(0))
-    shared = {"in_hand": in_hand.expand(2, -1, -1, -1)[:, :channels], "holding": th.tensor([[0.0], [1.0]])}
-    images = [seen["heightmap"] for seen in look_twice(env, angle, mirror)]
-    return [{"heightmap": th.as_tensor(image).expand(2, 1, SIZE, SIZE), **shared} for image in images]
+# Networks of open-loop control
 
 
 def assert_same(found: th.Tensor, expected: th.Tensor) -> None:
@@ -153,60 +123,34 @@ def assert_same(found: th.Tensor, expected: th.Tensor) -> None:
         assert sample.std() > 0 and (other - sample).abs().max() < TOLERANCE * sample.std()
 
 
-@pytest.mark.parametrize(
-    ("kind", "quarters", "mirror"),
-    [("ASR", 1, False), ("ASR", 0, True), ("ASR", 3, True), ("FCN", 1, False), ("FCN", 2, False)],
-)
-def test_maps_rotate_with_the_scene(open_loop: Any, kind: str, quarters: int, mirror: bool) -> None:
-    """The yaws of a network with one map a yaw shift."""
-    before, after = maps(open_loop, kind, quarters, mirror)
-    expected = th.rot90(before, quarters, (2, 3)).roll(quarters * YAWS // 2 if kind == "FCN" else 0, dims=1)
-    assert_same(after, expected.flip(3) if mirror else expected)
-
-
-def test_network_with_rotated_input_shifts_half_of_its_yaws(open_loop: Any) -> None:
-    before, after = maps(open_loop, "Rot FCN", 1, mirror=False)
-    assert_same(after[:, YAWS // 2 :], th.rot90(before[:, : YAWS // 2], 1, (2, 3)))
-
-
-def maps(env: Any, kind: str, quarters: int, mirror: bool) -> list[th.Tensor]:
-    policy = make_policy(env, kind)
-    with th.no_grad():
-        views = [policy.q_net.scene_view(batch) for batch in batches(env, quarters * math.pi / 2, mirror)]
-        return [policy.q_net.pixel_maps(view)[0] for view in views]
-
-
-def test_all_levels_rotate_with_the_scene(open_loop: Any) -> None:
+def test_all_levels_rotate_with_the_scene(open_loop):
     """Yaws shift; heights and tilts do not change if the gripper need not be rotated by pi."""
-    before, after = batches(open_loop, math.pi / 2, channels=3)
-    policy = make_policy(open_loop, "ASR", "pxyzrrr")
+    in_hand = 0.05 * th.rand(1, 3, SIDE, SIDE, generator=th.Generator().manual_seed(0))
+    shared = {"in_hand": in_hand.expand(2, -1, -1, -1), "holding": th.tensor([[0.0], [1.0]])}
+    images = [th.as_tensor(seen["heightmap"]) for seen in look_twice(open_loop, math.pi / 2)]
+    before, after = ({"heightmap": image.expand(2, 1, SIZE, SIZE), **shared} for image in images)
+    th.manual_seed(0)
+    in_hand_space = spaces.Box(0.0, 0.4, (3, SIDE, SIDE), np.float32)
+    policy = EquivariantASRPolicy(
+        spaces.Dict({**open_loop.observation_space.spaces, "in_hand": in_hand_space}),
+        spaces.Box(-1.0, 1.0, (7,), np.float32),
+        lambda _: 0.0,
+        action_sequence="pxyzrrr",
+        codec_kwargs={"num_rotations": YAWS},
+        network_kwargs=NETWORK,
+        standardise=(0.0, 0.02),
+        quantise=None,
+    )
     highest = before["heightmap"].flatten(1).argmax(dim=1)
     indices = th.stack([highest // SIZE, highest % SIZE, *th.tensor([[1, 0], [3, 1], [5, 2], [1, 4]])], dim=1)
     rotated = indices.clone()
     rotated[:, 0], rotated[:, 1] = SIZE - 1 - indices[:, 1], indices[:, 0]
     rotated[:, 2] += YAWS // 2
     with th.no_grad():
+        views = [policy.q_net.scene_view(batch) for batch in (before, after)]
+        maps, rotated_maps = (policy.q_net.pixel_maps(view)[0] for view in views)
         first, second = policy.q_net.values(before, indices), policy.q_net.values(after, rotated)
+    assert_same(rotated_maps, th.rot90(maps, 1, (2, 3)))
     assert_same(second[1], first[1].roll(YAWS // 2, dims=1))
     for here, there in zip(first[2:], second[2:], strict=True):
         assert_same(there, here)
-
-
-@pytest.mark.parametrize("turns", [1, 2, 7])
-def test_augmented_samples_equal_a_rotated_scene(
-    open_loop: Any, turns: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    before, after = batches(open_loop, turns * math.pi / YAWS)
-    motion = RigidMotion(SpatialActionCodec(SIZE, "pxyr", num_rotations=YAWS), "heightmap")
-    samples: Any = ExpertReplayBufferSamples(before, None, before, *[None] * 8)  # type: ignore[arg-type]
-    errors = []
-    for number in range(2 * YAWS):
-        drawn = (th.full((2,), number), th.zeros(2, 2))
-        monkeypatch.setattr(motion, "_sample_motions", lambda *args, drawn=drawn: drawn)
-        found, _ = motion.move(samples, th.zeros(2, 3, dtype=th.int64), th.Generator())
-        image = found.observations["heightmap"]
-        assert th.equal(image, found.next_observations["heightmap"])
-        errors.append((image - after["heightmap"]).abs().mean().item())
-    least, second = sorted(errors)[:2]
-    assert errors.index(least) == turns and least < 0.4 * second
-    assert (least == 0.0) == (turns % (YAWS // 2) == 0)

@@ -74,9 +74,8 @@ def main() -> None:
             env.reset(seed=1)
             durations = [clock.step(action)[0] for action in actions]
             print(f"| {motion} | {durations[-1]:.2f} s |")
-    print(
-        "\n| task | `physics_mode` | `fast_mode` | minimum | median | maximum |\n|---|---|---|---:|---:|---:|"
-    )
+    heads = "task | `physics_mode` | `fast_mode` | minimum | median | maximum"
+    print(f"\n| {heads} |\n|---|---|---|---:|---:|---:|")
     for task, physics_mode, fast_mode in itertools.product(TASKS, ("fast", "slow"), (True, False)):
         parameters = {"physics_mode": physics_mode, "fast_mode": fast_mode}
         with closing(gymnasium.make(f"BulletArm/{task}-v0", **parameters).unwrapped) as env:

@@ -51,9 +51,11 @@ def draw(env_id: str, args: argparse.Namespace) -> None:
     kwargs = {"render_mode": "rgb_array", "render_size": [args.pixels, args.pixels], **args.env_kwargs}
     with closing(make_env(env_id, kwargs)) as env:
         views = solve(env, args.seed)
-    pairs = {"": [crop(scene) for scene, _ in views]}
+    left, top, right, bottom = (round(share * args.pixels) for share in CROP)
+    pairs = {"": [scene[top:bottom, left:right] for scene, _ in views]}
     if args.heightmap:
-        pairs[f"-{HEIGHTMAP}"] = [enlarged(image, args.pixels) for _, image in views]
+        size, nearest = (args.pixels, args.pixels), Image.Resampling.NEAREST
+        pairs[f"-{HEIGHTMAP}"] = [np.asarray(Image.fromarray(one).resize(size, nearest)) for _, one in views]
     for suffix, (before, after) in pairs.items():
         gap = np.full((len(before), GAP, 3), 255, np.uint8)
         path = args.output / f"{env_id.rpartition('/')[2]}{suffix}.webp"
@@ -77,17 +79,6 @@ def solve(env: Any, seed: int) -> list[tuple[Any, Any]]:
 def heights(observation: Any, env: Any) -> Any:
     """Return the drawing of the heightmap."""
     return colour(next(observed_images(observation, env)))
-
-
-def crop(image: Any) -> Any:
-    """Return the part of a rendered image that shows arm and workspace."""
-    left, top, right, bottom = (round(share * len(image)) for share in CROP)
-    return image[top:bottom, left:right]
-
-
-def enlarged(image: Any, pixels: int) -> Any:
-    """Return an image with another number of pixels per side."""
-    return np.asarray(Image.fromarray(image).resize((pixels, pixels), Image.Resampling.NEAREST))
 
 
 if __name__ == "__main__":

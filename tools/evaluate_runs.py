@@ -78,12 +78,9 @@ def row(run: Run, args: argparse.Namespace, rates: Row) -> Row:
 def changes(experiment: ExperimentConfig, command: list[str]) -> str:
     """Return the flags by which an experiment differs from its baseline and preset on its task."""
     words = [*itertools.dropwhile(lambda word: word not in OVERRIDES, command)]
-    if experiment.benchmark and "--benchmark" in command and experiment.baseline and experiment.preset:
-        if (
-            experiment.benchmark
-            != resolve(experiment.baseline, experiment.preset, experiment.env_id).benchmark
-        ):
-            words = ["--benchmark", experiment.benchmark, *words]
+    if "--benchmark" in command:
+        usual = resolve(str(experiment.baseline), str(experiment.preset), experiment.env_id).benchmark
+        words = ["--benchmark", str(experiment.benchmark), *words] if experiment.benchmark != usual else words
     return " ".join(words)
 
 

@@ -55,39 +55,32 @@ def origins(rows: Iterable[Row]) -> str:
     )
 
 
-@dataclass(frozen=True)
-class Column:
-    """Column of the table of experts: one arm, with or without a fixed orientation of objects and gripper."""
-
-    title: str
-    robot: str
-    is_fixed: bool = False
-
-    def has(self, row: Row) -> bool:
-        """Return True if a row of the file belongs to the column."""
-        kwargs = row["env_kwargs"]
-        fits = "random_orientation:False" in kwargs if self.is_fixed else not kwargs
-        return row["robot"] == self.robot and fits and not row["snap"]
+COLUMNS = {
+    "KUKA": ("kuka", ""),
+    "KUKA, fixed orientation": ("kuka", "random_orientation:False"),
+    "Panda": ("panda", ""),
+    "UR5, jaw": ("ur5", ""),
+    "UR5, 2F-85": ("ur5_robotiq", ""),
+}
+"""Arm and parameters of each column of the table of experts."""
 
 
-COLUMNS = (
-    Column("KUKA", "kuka"),
-    Column("KUKA, fixed orientation", "kuka", is_fixed=True),
-    Column("Panda", "panda"),
-    Column("UR5, jaw", "ur5"),
-    Column("UR5, 2F-85", "ur5_robotiq"),
-)
+def _is_in(column: str, row: Row) -> bool:
+    """Return True if a row of the file belongs to a column."""
+    robot, parameters = COLUMNS[column]
+    fits = parameters in row["env_kwargs"] if parameters else not row["env_kwargs"]
+    return row["robot"] == robot and fits and not row["snap"]
 
 
 def expert_table(source: Source, belongs: Belongs) -> str:
     """Return the success rates of the experts of some tasks, one column an arm."""
     rows = [row for row in source.read("experts") if belongs(row["env"])]
-    columns = {column: {row["env"]: row for row in rows if column.has(row)} for column in COLUMNS}
+    columns = {column: {row["env"]: row for row in rows if _is_in(column, row)} for column in COLUMNS}
     columns = {column: found for column, found in columns.items() if found}
     names = [name for name in task_names() if belongs(name)]
     lines = [[f"`{name}`", *(_expert(found.get(name)) for found in columns.values())] for name in names]
-    table = markdown_table([ID, *(column.title for column in columns)], lines)
-    notes = [f"- {column.title}: {_origins(list(found.values()))}" for column, found in columns.items()]
+    table = markdown_table([ID, *columns], lines)
+    notes = [f"- {column}: {_origins(list(found.values()))}" for column, found in columns.items()]
     legend = f"Success rate and mean number of steps of the solved episodes, from {source.link('experts')}:"
     return "\n\n".join([table, legend, "\n".join(notes)])
 
@@ -95,7 +88,7 @@ def expert_table(source: Source, belongs: Belongs) -> str:
 def other_experts(source: Source) -> str:
     """Return the success rates of the experts with parameters that have no column in the other tables."""
     rows = [row for row in source.read("experts") if not row["snap"]]
-    rows = [row for row in rows if not any(column.has(row) for column in COLUMNS)]
+    rows = [row for row in rows if not any(_is_in(column, row) for column in COLUMNS)]
     lines = [
         [f"`{row['env']}`", row["robot"], f"`{row['env_kwargs']}`", _expert(row), _origin(row)]
         for row in rows

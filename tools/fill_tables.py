@@ -7,14 +7,13 @@ The text between <!-- data: NAME --> and <!-- end of data --> is replaced. FIGUR
 
 import argparse
 import difflib
-import math
 import re
 import sys
 from collections.abc import Callable, Sequence
 from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path
-from statistics import fmean
+from statistics import fmean, geometric_mean
 from textwrap import indent
 
 from expert_tables import (
@@ -36,8 +35,6 @@ from zoo_configs.files import whole_file
 BEGIN = r"(?<!`)<!-- data: "
 """Start of a marker outside backticks."""
 PLACE = re.compile(rf"({BEGIN}(?P<name>[^>]*?) -->).*?(<!-- end of data -->)", re.DOTALL)
-
-
 SPEED_HEADS = {
     "yardstick_us": ("calibration us", 1),
     "steps_per_second": ("steps/s", 0),
@@ -58,17 +55,11 @@ PARTS = ("gradients_of_convolutions", "convolutions", "pooling", "rest")
 def speed_table(source: Source) -> str:
     """Return the speed of the environments with default parameters."""
     rows = [row for row in source.read("speed") if not row["env_kwargs"]]
-    lines = [
-        [
-            f"`{row['env']}`",
-            *(
-                f"{float(row[name]):.{digits}f}" if row[name] else ""
-                for name, (_, digits) in SPEED_HEADS.items()
-            ),
-            f"{float(row['success']):.2f} of {row['episodes']}",
-        ]
-        for row in rows
-    ]
+    lines = []
+    for row in rows:
+        digits = {name: digits for name, (_, digits) in SPEED_HEADS.items()}
+        figures = [f"{float(row[name]):.{digits[name]}f}" if row[name] else "" for name in digits]
+        lines.append([f"`{row['env']}`", *figures, f"{float(row['success']):.2f} of {row['episodes']}"])
     table = markdown_table(["environment", *(head for head, _ in SPEED_HEADS.values()), "expert"], lines)
     load = f"load average when a row began at most {max(float(row['load']) for row in rows):.1f}"
     return f"{table}\n\n{origins(rows)}, {load} ({source.link('speed')})."
@@ -76,15 +67,12 @@ def speed_table(source: Source) -> str:
 
 def ratio_sentence(source: Source) -> str:
     """Return the comparison of the speed with the reference."""
-    parts = [
-        f"{_geometric_mean(ratios):.1f} for {tasks.format(len(ratios))} (minimum {min(ratios):.1f})"
-        for ratios, tasks in zip(
-            _ratios(source),
-            ("the {} closed-loop tasks of the paper", "its {} open-loop tasks"),
-            strict=True,
-        )
-    ]
-    return f"The geometric mean of the ratios is {' and '.join(parts)}."
+    closed, opened = _ratios(source)
+    return (
+        f"The geometric mean of the ratios is {geometric_mean(closed):.1f} for the {len(closed)} closed-loop "
+        f"tasks of the paper (minimum {min(closed):.1f}) and {geometric_mean(opened):.1f} for its "
+        f"{len(opened)} open-loop tasks (minimum {min(opened):.1f})."
+    )
 
 
 def ratio_summary(source: Source) -> str:
@@ -93,20 +81,15 @@ def ratio_summary(source: Source) -> str:
     both = (*closed, *opened)
     return (
         f"{min(both):.0f} to {max(both):.0f} times as fast as the original release (geometric mean "
-        f"{_geometric_mean(closed):.0f} in closed loop, {_geometric_mean(opened):.0f} in open loop)"
+        f"{geometric_mean(closed):.0f} in closed loop, {geometric_mean(opened):.0f} in open loop)"
     )
 
 
 def _ratios(source: Source) -> list[list[float]]:
+    """Return the ratios in closed and in open loop."""
     rows = [row for row in source.read("speed") if row["times_reference"] and not row["env_kwargs"]]
-    return [
-        [float(row["times_reference"]) for row in rows if row["env"].startswith(control)]
-        for control in ("CloseLoop", OPEN_LOOP)
-    ]
-
-
-def _geometric_mean(ratios: Sequence[float]) -> float:
-    return math.exp(fmean(map(math.log, ratios)))
+    opened = [float(row["times_reference"]) for row in rows if row["env"].startswith(OPEN_LOOP)]
+    return [[float(row["times_reference"]) for row in rows if row["env"].startswith("CloseLoop")], opened]
 
 
 def update_table(source: Source, control: str) -> str:
@@ -176,17 +159,12 @@ def results_summary(source: Source) -> str:
     for run in source.read("results"):
         if run["preset"] == "cpu" and not run["earlier"] and "--benchmark" not in run["options"]:
             runs_of.setdefault(run["env"], []).append(run)
-    lines = [
-        [f"`{task}`", *(f"{fmean(values):{form}}" if values else "" for values, form in _outcomes(runs))]
-        for task, runs in sorted(runs_of.items())
-    ]
+    lines = []
+    for task, runs in sorted(runs_of.items()):
+        minutes = [float(run["minutes"]) for run in runs if run["minutes"]]
+        success = fmean(float(run["last"]) for run in runs if run["last"])
+        lines.append([f"`{task}`", f"{success:.2f}", f"{fmean(minutes):.0f}" if minutes else ""])
     return markdown_table(("task", "success", "minutes"), lines)
-
-
-def _outcomes(runs: Sequence[Row]) -> list[tuple[list[float], str]]:
-    """Return the success rates and durations of runs, each with a format."""
-    formats = {"last": ".2f", "minutes": ".0f"}
-    return [([float(run[name]) for run in runs if run[name]], form) for name, form in formats.items()]
 
 
 def _result(runs: Sequence[Row]) -> list[str]:
@@ -251,11 +229,7 @@ FIGURES: dict[str, Callable[[Source], str]] = {
 
 
 def filled(page: Path, folder: Path = DATA) -> str:
-    """Return the text of a page with its places filled.
-
-    :param page: Markdown file
-    :param folder: folder of the data files
-    """
+    """Return the text of a Markdown page with its places filled from the files in a folder."""
     source, text = Source(folder, page), page.read_text(encoding="utf-8")
 
     def fill(place: re.Match[str]) -> str:

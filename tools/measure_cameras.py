@@ -57,14 +57,10 @@ def triangles(robot: str) -> int:
 
 def main() -> None:
     """Print the table."""
-    rows = [
-        [
-            f"`{robot}`",
-            str(triangles(robot)),
-            *(f"{milliseconds(robot, sensors):.0f}" for sensors in SENSORS.values()),
-        ]
-        for robot in ROBOTS
-    ]
+    rows = []
+    for robot in ROBOTS:
+        times = [f"{milliseconds(robot, sensors):.0f}" for sensors in SENSORS.values()]
+        rows.append([f"`{robot}`", str(triangles(robot)), *times])
     print(markdown_table(["arm", "triangles", *SENSORS], rows))
     print(f"\n{describe_machine()}")
 

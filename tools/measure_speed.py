@@ -1,12 +1,13 @@
 """Measure the environment steps per second of the expert, divided into physics, rendering and the rest.
 
 python tools/measure_speed.py --reference docs/data/reference_rates.csv --data docs/data/speed.csv
-python tools/measure_speed.py --env BulletArm/CloseLoopBlockPicking-v0 --seconds 20 --randomization light
+python tools/measure_speed.py --env BulletArm/CloseLoopBlockPicking-v0 --env-kwargs randomization:light
 """
 
 import argparse
 import csv
 import math
+import statistics
 import time
 from collections.abc import Mapping
 from contextlib import closing
@@ -33,21 +34,12 @@ def main() -> None:
     reference = read_reference(args.reference) if args.reference else {}
     print(describe_machine())
     rows = []
-    for name in tqdm(args.env or our_env_ids(), unit="environment"):
-        env_id = known_env_id(name)
-        pair = []
-        for value in (None, *args.randomization):
-            env_kwargs = {**args.env_kwargs, **({"randomization": value} if value else {})}
-            pair.append(measure(env_id, args, env_kwargs, reference.get(env_id)))
-            rows.append(keep(pair[-1], args.data, KEY))
-            speed = float(pair[-1]["steps_per_second"]) / float(pair[0]["steps_per_second"])
-            if value:
-                print(f"{env_id}: {speed:.2f} times the speed without randomization={value}")
+    for env_id in tqdm([known_env_id(name) for name in args.env or our_env_ids()], unit="environment"):
+        rows.append(keep(measure(env_id, args, reference.get(env_id)), args.data, KEY))
     show(rows)
     ratios = [float(row["times_reference"]) for row in rows if row["times_reference"]]
     if ratios:
-        mean = math.exp(sum(map(math.log, ratios)) / len(ratios))
-        print(f"ratio: geometric mean {mean:.1f}, minimum {min(ratios):.1f}")
+        print(f"ratio: geometric mean {statistics.geometric_mean(ratios):.1f}, minimum {min(ratios):.1f}")
 
 
 def parse() -> argparse.Namespace:
@@ -59,8 +51,6 @@ def parse() -> argparse.Namespace:
     add("--seed", type=seed, default=0, help="seed of the first episode (default: 0)")
     add("--reference", type=Path, metavar="FILE", help="CSV of speeds to compare with")
     add("--data", type=Path, metavar="FILE", help="CSV to add the measurements to")
-    text = "values of randomization to compare with none, in turn with it"
-    add("--randomization", nargs="+", default=[], metavar="PRESET", help=text)
     add_env_kwargs(parser)
     add_packages(parser)
     return parser.parse_args()
@@ -78,18 +68,13 @@ def read_reference(path: Path) -> dict[str, float]:
         }
 
 
-def measure(
-    env_id: str, args: argparse.Namespace, env_kwargs: Mapping[str, Any], reference: float | None = None
-) -> Row:
+def measure(env_id: str, args: argparse.Namespace, reference: float | None = None) -> Row:
     """Measure one environment.
 
-    :param env_id: environment id
-    :param args: command line
-    :param env_kwargs: parameters of the environment
     :param reference: steps per second of the reference times the time (us) of a simulation step
     """
     load, step_us = load_average(), measure_yardstick()
-    with closing(make_env(env_id, env_kwargs)) as env:
+    with closing(make_env(env_id, args.env_kwargs)) as env:
         Meter(env).play(args.seed)  # compiles and fills caches
         meter = Meter(env)
         while meter.stepping + meter.resetting < args.seconds:
@@ -98,7 +83,7 @@ def measure(
     figures = meter.figures()
     return {
         "env": task_name(env_id),
-        "env_kwargs": words(env_kwargs),
+        "env_kwargs": words(args.env_kwargs),
         "yardstick_us": number(step_us, 1),
         **figures,
         "reference_steps_per_second": number(scaled, 1),
@@ -109,10 +94,7 @@ def measure(
 
 
 class Meter:
-    """Plays episodes of the expert and adds up the durations of their parts (seconds).
-
-    :param env: environment with an expert
-    """
+    """Plays episodes of the expert and adds up the durations of their parts (seconds)."""
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
         self.env = env

@@ -74,7 +74,8 @@ def main() -> None:
         if args.overhead:
             rows.append(keep(overhead(experiment, args), args.data, OVERHEAD_KEY))
         else:
-            rows.append(keep(in_own_process(update, experiment, args), args.data, KEY))
+            with multiprocessing.get_context("spawn").Pool(1) as pool:  # a process keeps its peak memory
+                rows.append(keep(pool.apply(update, (experiment, args)), args.data, KEY))
     show(rows)
 
 
@@ -94,17 +95,9 @@ def parse() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def in_own_process(function: Callable[..., Row], *args: Any) -> Row:
-    """Call a function in a new process, because a process keeps its peak memory."""
-    with multiprocessing.get_context("spawn").Pool(1) as pool:
-        return pool.apply(function, args)
-
-
 def make_model(experiment: ExperimentConfig, device: str = "auto", **changes: Any) -> Any:
     """Return the untrained model of an experiment in one environment.
 
-    :param experiment: experiment
-    :param device: PyTorch device
     :param changes: changed hyperparameters
     """
     hyperparams = {**parsed(experiment.hyperparams), **changes}
@@ -146,12 +139,8 @@ def update(experiment: ExperimentConfig, args: argparse.Namespace) -> Row:
 
 def name_of(experiment: ExperimentConfig, args: argparse.Namespace) -> Row:
     """Return the columns that identify an experiment."""
-    names = {
-        "baseline": experiment.label,
-        "preset": str(experiment.preset),
-        "env": task_name(experiment.env_id),
-    }
-    return {**names, "env_kwargs": words(args.env_kwargs)}
+    names = {"baseline": experiment.label, "preset": str(experiment.preset)}
+    return {**names, "env": task_name(experiment.env_id), "env_kwargs": words(args.env_kwargs)}
 
 
 def median_time(function: Callable[[], None], seconds: float) -> float:

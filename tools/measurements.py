@@ -5,7 +5,7 @@ import datetime
 import math
 import shlex
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -85,8 +85,7 @@ def words(env_kwargs: Mapping[str, Any]) -> str:
     return " ".join(f"{name}:{value!r}" for name, value in sorted(env_kwargs.items()))
 
 
-def show(rows: Iterable[Row]) -> None:
+def show(rows: Sequence[Row]) -> None:
     """Print rows as a table without their provenance."""
-    cells: Sequence[Row] = list(rows)
-    columns = [name for name in cells[0] if name not in PROVENANCE] if cells else []
-    print_table(columns, [[row[name] for name in columns] for row in cells])
+    columns = [name for name in rows[0] if name not in PROVENANCE]
+    print_table(columns, [[row[name] for name in columns] for row in rows])

@@ -4,8 +4,7 @@ import importlib
 import os
 import select
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from importlib import metadata
 from importlib.util import find_spec
 
@@ -29,18 +28,8 @@ COMMANDS = {
     "demos": "collect demonstrations of an expert",
     "list": "list environments, baselines, presets or published agents",
 }
-REQUIRED = (
-    "stable_baselines3",
-    "torch",
-    "optuna",
-    "yaml",
-    "rich",
-    "matplotlib",
-    "pandas",
-    "imageio",
-    "huggingface_hub",
-)
-"""Modules of packages that the extra ``zoo`` installs."""
+REQUIRED = ("stable_baselines3", "torch", "optuna", "yaml", "matplotlib", "pandas", "imageio")
+"""Some modules of packages that the extra ``zoo`` installs."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -53,8 +42,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     raises = words[:1] == [TRACEBACK]
     name, *arguments = (words[1:] if raises else words) or ["--help"]
     try:
-        with _working_directory_on_path():
-            _run(name, arguments)
+        if os.getcwd() not in sys.path and not getattr(sys.flags, "safe_path", False):  # of Python 3.11
+            sys.path.insert(0, os.getcwd())  # as ``python -m`` does
+        _run(name, arguments)
         sys.stdout.flush()
     except KeyboardInterrupt:
         print(f"\n{PROGRAM} {name}: interrupted", file=sys.stderr)
@@ -77,20 +67,6 @@ def _run(name: str, arguments: Sequence[str]) -> None:
         importlib.import_module(f"zoo_configs.commands.{name}").main(arguments)
     else:
         raise unknown_name("command", name, COMMANDS)
-
-
-@contextmanager
-def _working_directory_on_path() -> Iterator[None]:
-    """Make modules in the working directory importable, as ``python -m`` does."""
-    here = os.getcwd()
-    if here in sys.path or getattr(sys.flags, "safe_path", False):  # the flag is of Python 3.11
-        yield
-        return
-    sys.path.insert(0, here)
-    try:
-        yield
-    finally:
-        sys.path.remove(here)
 
 
 def _is_unread(error: Exception) -> bool:

@@ -3,7 +3,6 @@
 import importlib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager
-from types import ModuleType
 from typing import Any
 
 import gymnasium as gym
@@ -41,8 +40,7 @@ def known_env_id(env_id: str) -> str:
 
 def package_of(env_id: str) -> list[str]:
     """Return a list with the package in front of an id, such as ``my_tasks:ID``, or an empty list."""
-    package = env_id.rpartition(":")[0]
-    return [package] if package else []
+    return list(filter(None, [env_id.rpartition(":")[0]]))
 
 
 def make_env(env_id: str, env_kwargs: Mapping[str, Any]) -> gym.Env[Any, Any]:
@@ -66,13 +64,6 @@ def try_env(env_id: str, env_kwargs: Mapping[str, Any]) -> None:
         pass
 
 
-def demonstrations() -> ModuleType:
-    """Import and return the module with ``collect`` and ``load``."""
-    import bulletarm_gym.demonstrations
-
-    return bulletarm_gym.demonstrations
-
-
 def load_expert_data(hyperparams: Mapping[str, Any]) -> dict[str, Any]:
     """
     Return hyperparameters in which episodes replace the path of a file of demonstrations.
@@ -82,7 +73,9 @@ def load_expert_data(hyperparams: Mapping[str, Any]) -> dict[str, Any]:
     path = hyperparams.get("expert_data")
     if not isinstance(path, str):
         return dict(hyperparams)
+    from bulletarm_gym.demonstrations import load
+
     try:
-        return {**hyperparams, "expert_data": demonstrations().load(path)}
+        return {**hyperparams, "expert_data": load(path)}
     except Exception as error:  # a damaged file can raise any error
         raise CommandError(f"expert_data: {path} cannot be read: {reason(error)}") from error

@@ -55,7 +55,7 @@ def reason_and_place(error: BaseException) -> str:
 
 def unknown_name(kind: str, got: str, valid: Iterable[str], see: str = "") -> CommandError:
     """
-    Return the error for an unknown name, with the nearest valid name.
+    Return the error for an unknown name, with the nearest valid name regardless of case, namespace, version.
 
     :param kind: Kind of the name, for example ``"baseline"``
     :param got: The unknown name
@@ -63,8 +63,9 @@ def unknown_name(kind: str, got: str, valid: Iterable[str], see: str = "") -> Co
     :param see: Where the valid names are listed, if there are too many for one line
     """
     names = sorted(valid)
-    if (nearest := nearest_name(got, names)) is not None:
-        return CommandError(f"unknown {kind} {got!r}, did you mean {nearest!r}?")
+    bare = {_bare(name): name for name in names}
+    if nearest := difflib.get_close_matches(_bare(got), bare, n=1, cutoff=SIMILAR):
+        return CommandError(f"unknown {kind} {got!r}, did you mean {bare[nearest[0]]!r}?")
     choices = f"choose from {', '.join(names) or 'nothing: none exists'}"
     return CommandError(f"unknown {kind} {got!r}, {see or choices}")
 
@@ -74,13 +75,6 @@ def check_names(kind: str, given: Iterable[str], valid: Collection[str]) -> None
     for name in given:
         if name not in valid:
             raise unknown_name(kind, name, valid)
-
-
-def nearest_name(got: str, valid: Iterable[str]) -> str | None:
-    """Return the most similar name, regardless of case, namespace and version; None if none is similar."""
-    names = {_bare(name): name for name in valid}
-    found = difflib.get_close_matches(_bare(got), names, n=1, cutoff=SIMILAR)
-    return names[found[0]] if found else None
 
 
 def _bare(name: str) -> str:

@@ -6,69 +6,17 @@ import subprocess
 import sys
 from pathlib import Path
 
-import griffe
 import pytest
 
 import bulletarm_gym
-from bulletarm_gym.config import PARAMETERS
 from website import agents, figures, gallery, hooks, measured, task_page
 from website.catalogue import SHOWN, grouped, relatives
-from website.docstring_extensions import Markup, NamedTuples
 from website.docstrings import LABELS
 from website.markdown import table
 
 ROOT = Path(__file__).parents[2]
 BY_NAME = {one.name: one for one in SHOWN}
 PICKING = "CloseLoopBlockPicking"
-MODULE = '''"""A module."""
-
-from typing import NamedTuple
-
-
-class Shape(NamedTuple):
-    """A shape, as :func:`draw` draws it, by :class:`_Pen` and :class:`~numpy.ndarray`.
-
-    :param width: how wide (m)
-    """
-
-    width: float
-    height: float = 1.0
-
-    @property
-    def area(self) -> float:
-        """Its area (m^2), of a :class:`~shapes.Shape`."""
-        return self.width * self.height
-
-
-class _Pen:
-    """A pen.
-
-    Description: it is
-    blue.
-    Success: it draws.
-    """
-
-
-def draw() -> None:
-    """Draw."""
-'''
-
-
-def test_docstrings_get_links_and_paragraphs_and_named_tuples_a_constructor(tmp_path):
-    (tmp_path / "shapes.py").write_text(MODULE)
-    extensions = griffe.load_extensions(NamedTuples(), Markup())
-    shapes = griffe.load("shapes", search_paths=[tmp_path], extensions=extensions)
-    first = shapes["Shape"].docstring.value
-    link = '<autoref optional identifier="shapes.{0}">`{0}`</autoref>'
-    assert first.startswith(
-        f"A shape, as {link.format('draw')} draws it, by {link.format('_Pen')} and `ndarray`."
-    )
-    assert f"of a {link.format('Shape')}." in shapes["Shape.area"].docstring.value
-    pen = shapes["_Pen"].docstring.value
-    assert pen == "A pen.\n\n\n**Description:** it is\nblue.\n\n**Success:** it draws."
-    parameters = shapes["Shape"].parameters
-    assert [parameter.name for parameter in parameters] == ["self", "width", "height"]
-    assert str(parameters["width"].annotation) == "float" and str(parameters["height"].default) == "1.0"
 
 
 @pytest.mark.parametrize(
@@ -122,14 +70,9 @@ def test_pages_describe_the_class_the_spaces_and_the_parameters():
     assert "at least 4.2 cm" in facts["Randomisation"]  # from the class that it extends
     assert "`Box(0, 0.4, (3, 24, 24), float32)`" in text and "`Box(-1, 1, (7,), float32)`" in text
     assert "| 5 | `r` | rotation about the rotated y axis | -0.785 rad (-45°) | 0.785 rad (45°) |" in text
-    assert "| 0 | `p` | primitive: pick below 0, else place | pick | place |" in text
-    assert all(f"| `{parameter}` |" in text for parameter in ("in_hand_size", "half_rotation"))
-    assert "| `view` |" not in text and {"in_hand_size", "view"} <= set(PARAMETERS)
-    grasping = task_page.page(BY_NAME["CloseLoopObjectGrasping"])
-    assert re.search(r"\| `close_loop_tray` \| `True` \| .* \| True with this task: ", grasping)
+    assert "| `in_hand_size` |" in text and "| `view` |" not in text
     names = {other.name for other in relatives(BY_NAME["CloseLoopHouseBuilding"])}
     assert names == {"OpenLoopHouseBuilding1", "OpenLoopRampHouseBuilding1", "CloseLoopHouseBuilding1"}
-    assert not relatives(BY_NAME["CloseLoopDrawerOpening"])
     cells = table(["a", "b"], [["x | y", "1\n2"]], numbers=1)
     assert cells == "| a | b |\n| --- | ---: |\n| x \\| y | 1 2 |\n"
 
@@ -150,8 +93,7 @@ def test_results_are_read_from_tables_and_cards(tmp_path, monkeypatch):
     (tmp_path / "experts.csv").write_text(
         "env,robot,env_kwargs,snap,episodes,first_seed,success,mean_steps,machine,date,commit,command\n"
         f"{PICKING},panda,,,50,0,0.98,7.04,{source}\n{PICKING},kuka,,,200,0,1.0,7,{source}\n"
-        f"{PICKING},kuka,obs_size:64,,10,0,0.9,,{source}\n{PICKING},kuka,,yes,10,0,0.4,,{source}\n"
-        f"OpenLoopBinPacking,kuka,,,200,0,0.5,16,{source}\n"
+        f"{PICKING},kuka,,yes,10,0,0.4,,{source}\nOpenLoopBinPacking,kuka,,,200,0,0.5,16,{source}\n"
     )
     (tmp_path / "speed.csv").write_text(
         f"env,steps_per_second,times_reference,machine,date,commit,command\n{PICKING},1234.5,29.31,{source}\n"
@@ -161,16 +103,12 @@ def test_results_are_read_from_tables_and_cards(tmp_path, monkeypatch):
     (folder / "card.json").write_text(json.dumps(CARD))
     text = "\n".join(figures.expert(PICKING))
     assert text.index("| KUKA |  | 1.000 | 7.0 | 200 |") < text.index("| Panda |  | 0.98 | 7.0 | 50 |")
-    assert "| KUKA | `obs_size:64` | 0.90 |  | 10 |" in text
     assert "0.40" not in text and "0.500" not in text and text.count("commit 0123456") == 1
-    rate = "**1,234 steps per second** in one process with the actions of the expert, 29.3 times"
-    assert rate in "\n".join(figures.speed(PICKING))
+    assert "**1,234 steps per second**" in "\n".join(figures.speed(PICKING))
     text = "\n".join(figures.agents(PICKING))
     assert "success rate **0.97** in 100 episodes (95 % interval 0.92 to 0.99)" in text
     assert f"bulletarm-zoo enjoy --published BulletArm/{PICKING}-v0 --baseline equi_sacfd" in text
-    assert not figures.agents("CloseLoopBlockPulling")
-    link = f"[{PICKING}](../tasks/{PICKING}.md#trained-agents)"
-    assert link in agents.filled("<!-- agents: sacfd, equi_* -->")
+    assert PICKING in agents.filled("<!-- agents: sacfd, equi_* -->")
     assert agents.filled("<!-- agents: ferm_* -->") == ""
 
 

@@ -1,7 +1,6 @@
 """Trainings on a quick environment."""
 
 import sys
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,33 +13,17 @@ from toy_env import TOY_ID, ToyEnv
 from zoo_configs.cli import main
 
 RUN_NAME = "BulletArm-CloseLoopToy-v0_1"
-# A run of two seconds; -params stands last, so that more of them can follow.
+# A run of two seconds. Further parameters can follow, because a repeated flag replaces values.
 TINY = (
     *("-n", "12", "--eval-freq", "6", "--eval-episodes", "2", "--save-freq", "6"),
     *("--seed", "0", "--device", "cpu", "--num-threads", "1", "--no-progress"),
     *("--env-kwargs", "obs_size:48"),
-    *("-params", "expert_episodes:2", "pretrain_steps:2", "batch_size:4", "buffer_size:100"),
+    *("-params", "expert_episodes:2", "pretrain_steps:2", "buffer_size:100", "-params", "batch_size:4"),
 )
 
 
-def _last_of_each_key(arguments: list[str]) -> list[str]:
-    """Leave out parameters that a later one replaces: the command accepts each key once."""
-    first = arguments.index("-params") + 1
-    keys = [argument.split(":")[0] for argument in arguments]
-    return [
-        argument
-        for index, (key, argument) in enumerate(zip(keys, arguments, strict=True))
-        if index < first or ":" not in argument or key not in keys[index + 1 :]
-    ]
-
-
-Train = Callable[..., int]
-Refuse = Callable[..., str]
-Bench = Callable[..., int]
-
-
 @pytest.fixture(scope="session")
-def toy_id() -> Iterator[str]:
+def toy_id():
     """An id that the close-loop baselines serve."""
     gym.register(TOY_ID, entry_point=ToyEnv)
     yield TOY_ID
@@ -48,25 +31,25 @@ def toy_id() -> Iterator[str]:
 
 
 @pytest.fixture
-def toy_envs() -> list[ToyEnv]:
+def toy_envs():
     """Environments made since the test began, in order."""
     ToyEnv.made.clear()
     return ToyEnv.made
 
 
 @pytest.fixture(scope="session")
-def train_tiny(toy_id: str) -> Train:
+def train_tiny(toy_id):
     """Trains Equivariant SACfD for a few steps: ``train_tiny(folder, *more)`` returns the exit code."""
 
     def train(folder: Path, *more: str) -> int:
         names = ["--baseline", "equi_sacfd", "--preset", "cpu", "--env", toy_id, "-f", str(folder)]
-        return main(["train", *names, *_last_of_each_key([*TINY, *more])])
+        return main(["train", *names, *TINY, *more])
 
     return train
 
 
 @pytest.fixture(scope="session")
-def trained(train_tiny: Train, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def trained(train_tiny, tmp_path_factory):
     """Log folder with one run, not to be changed."""
     folder = tmp_path_factory.mktemp("logs")
     assert train_tiny(folder, "n_envs:1", "--preset", "quick") == 0
@@ -74,15 +57,13 @@ def trained(train_tiny: Train, tmp_path_factory: pytest.TempPathFactory) -> Path
 
 
 @pytest.fixture(scope="session")
-def run_folder(trained: Path) -> Path:
+def run_folder(trained):
     """That run, not to be changed."""
     return trained / "sacfd" / RUN_NAME
 
 
 @pytest.fixture
-def refuse(
-    toy_id: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> Refuse:
+def refuse(toy_id, tmp_path, capsys, monkeypatch):
     """
     Runs a command line with a mistake in an empty folder, with ``TOY`` for the toy's id. Checks that the exit
     status is 2 and that nothing is left behind, and returns the one line of the error output.
@@ -104,7 +85,7 @@ def refuse(
 
 
 @pytest.fixture
-def toys(toy_id: str) -> Iterator[None]:
+def toys(toy_id):
     """Toys of ``--gym-packages toy_tasks`` are known during a test alone."""
     yield
     for env_id in list(gym.registry):
@@ -114,7 +95,7 @@ def toys(toy_id: str) -> Iterator[None]:
 
 
 @pytest.fixture
-def bench(toys: None, tmp_path: Path) -> Bench:
+def bench(toys, tmp_path):
     """Runs a benchmark like TINY but for some keys: ``bench(*flags, key=value)`` returns the exit code."""
 
     def run(*flags: str, **keys: Any) -> int:

@@ -1,4 +1,4 @@
-"""What the tests of benchmarks share: a tiny benchmark, and how its runs are compared."""
+"""What the tests share: all experiments, a tiny benchmark, and how its runs are compared."""
 
 import os
 import subprocess
@@ -9,13 +9,30 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import optuna
 import torch as th
 import yaml
+from optuna.storages.journal import JournalFileBackend, JournalStorage
+from optuna.trial import FrozenTrial
 from stable_baselines3.common.save_util import load_from_zip_file
 
-from zoo_configs.benchmarking.plan import Job, build_jobs, parse_plan
+from zoo_configs.benchmarking.plan import build_jobs, parse_plan
+from zoo_configs.environments import our_env_ids, register_environments
+from zoo_configs.experiments.families import families
+from zoo_configs.training.runs import Run
 from zoo_configs.training.state import State, run_status
 
+register_environments()
+ALL = [
+    (baseline, preset, env_id)
+    for env_id in our_env_ids()
+    for family in families()
+    if family.has_env(env_id)
+    for baseline in family.baselines
+    for preset in family.presets
+    if family.has_experiment(baseline, env_id)
+]
+"""Baseline, preset and environment id of each experiment."""
 HERE = Path(__file__).parent
 ROOT = HERE.parent.parent
 # Where processes find the toys as a package of a user's.
@@ -33,10 +50,8 @@ TINY: dict[str, Any] = {
 }
 FLAGS = ("--gym-packages", "toy_tasks", "--device", "cpu", "--no-progress")
 
-Bench = Callable[..., int]
 
-
-def jobs_of(**keys: Any) -> list[Job]:
+def jobs_of(**keys: Any) -> list[Run]:
     return build_jobs(parse_plan("tiny.yml", {**TINY, **keys}), ["toy_tasks"], "cpu")
 
 
@@ -50,6 +65,11 @@ def same(left: Path, right: Path) -> bool:
     with np.load(left / "evaluations.npz") as first, np.load(right / "evaluations.npz") as second:
         evaluated = all(np.array_equal(first[key], second[key]) for key in first)
     return evaluated and all(bool((ours[key] == theirs[key]).all()) for key in ours)
+
+
+def trials_of(folder: Path, study: str) -> list[FrozenTrial]:
+    storage = JournalStorage(JournalFileBackend(str(folder / "studies" / study / "journal.log")))
+    return optuna.load_study(study_name=study, storage=storage).trials
 
 
 def wait_for(condition: Callable[[], bool], seconds: float = 120) -> None:

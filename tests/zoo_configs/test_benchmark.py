@@ -6,7 +6,6 @@ import signal
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -22,17 +21,15 @@ from bulletarm_gym.benchmarks import BENCHMARKS
 from zoo_configs.benchmarking import cluster
 from zoo_configs.benchmarking.plan import Plan, build_jobs, read_plan
 from zoo_configs.benchmarking.process import ExitCode, JobProcess
-from zoo_configs.benchmarking.run import size_of
-from zoo_configs.benchmarking.status import Overview, shown
+from zoo_configs.benchmarking.run import Overview, shown, size_of
 from zoo_configs.cli import main
 from zoo_configs.errors import CommandError
 from zoo_configs.provenance import versions
-from zoo_configs.training.runs import Run, find_runs, write_resolved
+from zoo_configs.training.runs import find_runs, write_resolved
 from zoo_configs.training.state import State, run_lock, run_status, set_status
 
 PICKING = "BulletArm/CloseLoopBlockPicking-v0"
 EXAMPLES = sorted((sweeps.ROOT / "examples" / "benchmarks").glob("*.yml"))
-Bench = Callable[..., int]
 pytestmark = pytest.mark.usefixtures("toys")
 
 
@@ -40,72 +37,72 @@ pytestmark = pytest.mark.usefixtures("toys")
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
-def test_files_of_the_examples_are_plans(path: Path) -> None:
+def test_files_of_the_examples_are_plans(path):
     plan = read_plan(str(path))
     jobs = build_jobs(plan)
     assert {job.experiment.label for job in jobs} == set(plan.baselines)
     assert {f"BulletArm/{task}-v0" for task in plan.tasks} == {job.experiment.env_id for job in jobs}
 
 
-def test_the_benchmarks_of_the_paper_have_its_baselines() -> None:
+def test_the_benchmarks_of_the_paper_have_its_baselines():
     plan = read_plan("close_loop_4d")
     assert (len(plan.tasks), len(plan.baselines), plan.seeds) == (10, 11, 4)
     jobs = build_jobs(plan)
     assert len(jobs) == 10 * 11 * 4 and "equi_tqc" not in plan.baselines
     assert {job.experiment.benchmark for job in jobs} == {"close_loop_4d"}
-    assert jobs[0].name == "CloseLoopBlockReaching/sac/seed_0"
+    assert str(jobs[0].folder) == "CloseLoopBlockReaching/sac/seed_0"
     six = read_plan("open_loop_6d")
     assert (len(six.tasks), len(six.baselines)) == (9, 8)
 
 
-def test_a_plan_names_tasks_and_baselines_by_patterns() -> None:
+def test_a_plan_names_tasks_and_baselines_by_patterns():
     plan = Plan([PICKING, "CloseLoopBlockReaching", "CloseLoop*Pu[ls]*"], ["*equi_sacfd", "sac"], seeds=[3])
     jobs = build_jobs(plan)
     tasks = {job.experiment.env_id.removeprefix("BulletArm/CloseLoop") for job in jobs}
     assert tasks == {"BlockPicking-v0", "BlockReaching-v0", "BlockPushing-v0", "BlockPulling-v0"}
     assert {job.experiment.label for job in jobs} == {"equi_sacfd", "sac"}
     assert {job.seed for job in jobs} == {3}
-    plan = Plan(["OpenLoopBlockStacking", "OpenLoopRampBlockStacking"], ["sdqfd_*cnn_asr*"])
-    rows = {job.experiment_name for job in build_jobs(plan)}
-    assert rows == {"OpenLoopBlockStacking/sdqfd_cnn_asr", "OpenLoopRampBlockStacking/sdqfd_cnn_asr_6d"}
+    plan = Plan(["OpenLoopBlockStacking", "OpenLoopRampBlockStacking"], ["sdqfd_*cnn_asr*"], seeds=1)
+    rows = [str(job.folder.parent) for job in build_jobs(plan)]
+    assert rows == ["OpenLoopBlockStacking/sdqfd_cnn_asr", "OpenLoopRampBlockStacking/sdqfd_cnn_asr_6d"]
     plan = replace(read_plan("close_loop_4d"), tasks=["CloseLoopBlock*"], baselines=["sacfd"], seeds=1)
     known = {row.env_id for row in BENCHMARKS["close_loop_4d"].environments if "LoopBlock" in row.env_id}
     assert {job.experiment.env_id for job in build_jobs(plan)} == known
 
 
-def test_runs_that_start_together_do_not_share_demonstrations() -> None:
+def test_each_baseline_has_one_run_a_variant():
+    variants = {"whole": {}, "one_step": {"n_steps": 1}}
+    jobs = build_jobs(Plan([PICKING], ["sacfd"], "cpu", 1, hyperparams={"gamma": 0.5}, variants=variants))
+    assert [str(job.folder.parent.name) for job in jobs] == ["sacfd-whole", "sacfd-one_step"]
+    returns = [(job.experiment.hyperparams["n_steps"], job.experiment.hyperparams["gamma"]) for job in jobs]
+    assert returns == [(10, 0.5), (1, 0.5)]
+
+
+def test_runs_that_start_together_do_not_share_demonstrations():
     jobs = jobs_of(baselines=["sacfd", "sac"], tasks=["CloseLoopToy", "CloseLoopToySlow"])
     keys = [(job.experiment.env_id, job.seed) for job in jobs]
     assert len(set(keys[:4])) == len(set(keys[4:])) == 4
 
 
-def test_the_size_of_a_run_is_that_of_its_replay_buffer() -> None:
-    plan = Plan(["CloseLoopBlockPulling"], ["sacfd"], options={"eval_freq": 0})
-    size = size_of(build_jobs(plan)[0])
+def test_a_dry_run_lists_sizes_and_writes_nothing(bench, tmp_path, capsys):
+    for flag in "--seeds", "--seed":
+        assert bench("--dry-run", flag, "0", "7", baselines=["sacfd", "sac"]) == 0
+        lines = capsys.readouterr().out.splitlines()
+        assert lines[1].split()[:4] == ["CloseLoopToy/sac", "0", "7", "1.0"]
+        assert lines[3].startswith("2 experiments, 4 runs") and not (tmp_path / "out").exists()
+    jobs = build_jobs(Plan(["CloseLoopBlockPulling"], ["sacfd"], seeds=1))
+    size = size_of(jobs[0])
     assert 0.12 < size.memory - 1.0 < 0.13  # 30,000 heightmaps of 64 x 64 bytes
     assert size.disk == 0.0 or size.disk == pytest.approx(3 * (size.memory - 1.0))
     plan = read_plan("open_loop_3d")
     assert all(size_of(job).memory > 1.0 for job in build_jobs(replace(plan, tasks=plan.tasks[:1], seeds=1)))
 
 
-@pytest.mark.parametrize("flag", ["--seeds", "--seed"])
-def test_a_dry_run_writes_nothing(flag: str, bench: Bench, tmp_path: Path, capsys: Any) -> None:
-    assert bench("--dry-run", flag, "0", "7", baselines=["sacfd", "sac"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[1].split()[:4] == ["CloseLoopToy/sac", "0", "7", "1.0"]
-    assert lines[3].startswith("2 experiments, 4 runs")
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_folder_with_other_runs_is_refused(bench: Bench, tmp_path: Path, capsys: Any) -> None:
+def test_a_folder_that_is_locked_or_has_other_runs_is_refused(bench, tmp_path, capsys):
     [job] = jobs_of(seeds=1)
-    write_resolved(Run(tmp_path / "out" / job.name, job.experiment, 0))
+    write_resolved(replace(job, folder=tmp_path / "out" / job.folder))
     assert bench(hyperparams={**TINY["hyperparams"], "gamma": 0.5}) == 2
     assert "hyperparams" in capsys.readouterr().err
-
-
-def test_a_folder_is_locked(bench: Bench, tmp_path: Path, capsys: Any) -> None:
-    (tmp_path / "out").mkdir()
     with run_lock(tmp_path / "out"):
         assert bench() == 2
     assert str(tmp_path / "out") in capsys.readouterr().err
@@ -114,29 +111,26 @@ def test_a_folder_is_locked(bench: Bench, tmp_path: Path, capsys: Any) -> None:
 # ---- Status
 
 
-def test_the_overview_is_read_from_the_folders(tmp_path: Path, capsys: Any) -> None:
-    jobs = jobs_of(seeds=4)
+def test_the_overview_is_read_from_the_folders(tmp_path, capsys):
+    jobs = jobs_of(seeds=3)
     overview = Overview(jobs, tmp_path)
-    first, second, third, _ = (tmp_path / job.name for job in jobs)
-    set_status(second, State.FAILED, "the block is lost")
-    third.mkdir()
-    with run_lock(third):
-        pass
-    first.mkdir()
-    with run_lock(first), shown(overview, progress=True) as look:
+    running, failed, _ = (tmp_path / job.folder for job in jobs)
+    set_status(failed, State.FAILED, "the block is lost")
+    running.mkdir()
+    with run_lock(running), shown(overview, progress=True) as look:
         results = [[0.0, 1.0]]
-        np.savez(first / "evaluations.npz", timesteps=[6], results=results, successes=results)
+        np.savez(running / "evaluations.npz", timesteps=[6], results=results, successes=results)
         look()
-        printed = capsys.readouterr().err
-        assert overview.counts() == "1 done, 1 running, 1 waiting, 1 failed" and "1 waiting" in printed
-    assert "running CloseLoopToy/sacfd/seed_0, success 0.50 at 6" in printed
+        assert overview.counts() == "0 done, 1 running, 1 waiting, 1 failed"
+    printed = capsys.readouterr().err
+    assert "running CloseLoopToy/sacfd/seed_0, success 0.50 at 6" in printed and "1 waiting" in printed
     assert "failed CloseLoopToy/sacfd/seed_1, the block is lost" in printed
-    set_status(third, State.FAILED, "a run that is done stays done")
+    set_status(running, State.FAILED, "a run that is done stays done")
     overview.update()
-    assert [entry.name for entry in overview.of("done")] == [job.name for job in jobs if job.seed in (0, 2)]
+    assert overview.counts() == "1 done, 0 running, 1 waiting, 1 failed"
 
 
-def test_a_run_has_one_process_at_a_time(tmp_path: Path) -> None:
+def test_a_run_has_one_process_at_a_time(tmp_path):
     with run_lock(tmp_path):
         assert state_of(tmp_path) is State.RUNNING
         with pytest.raises(CommandError, match="process"), run_lock(tmp_path):
@@ -154,7 +148,7 @@ def test_a_run_has_one_process_at_a_time(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("killed", [True, False])
-def test_the_time_of_a_killed_process_counts_up_to_the_checkpoint(killed: bool, tmp_path: Path) -> None:
+def test_the_time_of_a_killed_process_counts_up_to_the_checkpoint(killed, tmp_path):
     with run_lock(tmp_path):
         (checkpoint := tmp_path / "checkpoint").mkdir()
     how = run_status(tmp_path)
@@ -176,7 +170,7 @@ def state_of(folder: Path) -> State | None:
     return None if status is None else status.state
 
 
-def test_runs_that_fail_do_not_stop_the_others(bench: Bench, tmp_path: Path, capsys: Any) -> None:
+def test_runs_that_fail_do_not_stop_the_others(bench, tmp_path, capsys):
     tasks = ["CloseLoopToyFailing", "CloseLoopToyCrashing", "CloseLoopToy"]
     assert bench("-j", "2", tasks=tasks, seeds=1) == 2
     out, err = capsys.readouterr()
@@ -195,7 +189,7 @@ def test_runs_that_fail_do_not_stop_the_others(bench: Bench, tmp_path: Path, cap
     assert after[failing] != before[failing] and after[good] == before[good]
 
 
-def test_a_full_disk_ends_the_benchmark_and_no_run(bench: Bench, tmp_path: Path, capsys: Any) -> None:
+def test_a_full_disk_ends_the_benchmark_and_no_run(bench, tmp_path, capsys):
     assert bench("-j", "1", tasks=["CloseLoopToyFull"]) == 2
     assert str(tmp_path / "out") in capsys.readouterr().err.splitlines()[-1]
     overview = Overview(jobs_of(tasks=["CloseLoopToyFull"]), tmp_path / "out")
@@ -203,10 +197,10 @@ def test_a_full_disk_ends_the_benchmark_and_no_run(bench: Bench, tmp_path: Path,
     assert overview.counts() == "0 done, 0 running, 2 waiting, 0 failed"
 
 
-def test_an_interrupted_run_is_killed_with_a_checkpoint(tmp_path: Path) -> None:
+def test_an_interrupted_run_is_killed_with_a_checkpoint(tmp_path):
     options = {**TINY["options"], "n_timesteps": 60, "save_freq": 6}
     [job] = jobs_of(tasks=["CloseLoopToySlow"], seeds=1, options=options)
-    process, folder = JobProcess(job, tmp_path), tmp_path / job.name
+    process, folder = JobProcess(job, tmp_path), tmp_path / job.folder
     wait_for(lambda: any(folder.glob("checkpoints/checkpoint_*")))
     process.interrupt()
     assert process.wait(60) and process.exit_code() is ExitCode.INTERRUPTED
@@ -217,37 +211,31 @@ KILLED = {"tasks": ["CloseLoopToySlow"], "seeds": 2, "options": {**TINY["options
 
 
 @pytest.mark.parametrize(
-    ("seed", "kills"), [(0, 1), *(pytest.param(seed, 5, marks=pytest.mark.slow) for seed in range(1, 6))]
+    ("seed", "kills", "how"),
+    [
+        (0, 1, signal.SIGKILL),
+        pytest.param(0, 1, signal.SIGINT, marks=pytest.mark.slow),
+        *(pytest.param(seed, 5, signal.SIGKILL, marks=pytest.mark.slow) for seed in range(1, 6)),
+    ],
 )
-def test_a_killed_benchmark_loses_nothing(seed: int, kills: int, bench: Bench, tmp_path: Path) -> None:
+def test_a_killed_benchmark_loses_nothing(seed, kills, how, bench, tmp_path):
     plan = {**TINY, **KILLED, "baselines": ["sacfd", "equi_sacfd"][:kills]}
     rng, out = random.Random(seed), tmp_path / "out"
     for _ in range(kills):
         process = start(tmp_path, plan, "-j", "2")
         wait_for(lambda: any(out.glob("*/*/*/log.txt")))
         time.sleep(rng.uniform(0.0, 4.0))
-        process.send_signal(signal.SIGKILL)
-        process.wait()
+        process.send_signal(how)
+        assert process.wait(90) == (130 if how is signal.SIGINT else -how)
         wait_for(lambda: not any(is_running(folder) for folder in out.glob("*/*/seed_*")))
     assert bench("-j", "2", **plan) == 0
     runs = find_runs(out)
-    assert {str(run.folder.relative_to(out)) for run in runs} == {job.name for job in jobs_of(**plan)}
+    assert {str(run.folder.relative_to(out)) for run in runs} == {str(job.folder) for job in jobs_of(**plan)}
     whole = ["-f", str(tmp_path / "whole"), *FLAGS, "-j", "2"]
     assert main(["benchmark", str(tmp_path / "tiny.yml"), *whole]) == 0
     for run in runs:
         assert state_of(run.folder) is State.DONE
         assert same(run.folder, tmp_path / "whole" / run.folder.relative_to(out))
-
-
-@pytest.mark.slow
-def test_ctrl_c_and_a_second_start_lose_nothing(bench: Bench, tmp_path: Path) -> None:
-    plan = {**TINY, **KILLED}
-    process = start(tmp_path, plan, "-j", "2")
-    wait_for(lambda: any((tmp_path / "out").rglob("checkpoint_*")))
-    process.send_signal(signal.SIGINT)
-    assert process.wait(90) == 130
-    assert not any(is_running(folder) for folder in (tmp_path / "out").glob("*/*/seed_*"))
-    assert bench("-j", "2", **plan) == 0
 
 
 # ---- Runs on a Ray cluster
@@ -257,7 +245,7 @@ SLOW = {"tasks": ["CloseLoopToySlow", "CloseLoopToyFailing"], "seeds": 1, "basel
 
 
 @pytest.fixture(scope="module")
-def ray_cluster() -> Iterator[Any]:
+def ray_cluster():
     """A head with one core; tests add other nodes."""
     pytest.importorskip("ray")
     from ray.cluster_utils import Cluster
@@ -271,9 +259,7 @@ def ray_cluster() -> Iterator[Any]:
     os.environ.update(before)
 
 
-def test_a_machine_must_share_the_folder_and_the_versions(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_machine_must_share_the_folder_and_the_versions(tmp_path, monkeypatch):
     monkeypatch.setattr(cluster, "SETTLING_SECONDS", 0.0)
     (tmp_path / "token").touch()
     cluster.check_machine(tmp_path, "token", (), versions())
@@ -289,7 +275,7 @@ def test_a_machine_must_share_the_folder_and_the_versions(
     assert [path.name for path in tmp_path.iterdir()] == ["token"]
 
 
-def test_a_run_that_is_lost_again_and_again_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_that_is_lost_again_and_again_fails(tmp_path, monkeypatch):
     def lost(*_: Any) -> Any:
         ended = {"wait": lambda _=None: True, "exit_code": lambda: ExitCode.INTERRUPTED}
         return SimpleNamespace(**ended, interrupt=lambda: None, kill=lambda: None)
@@ -300,14 +286,12 @@ def test_a_run_that_is_lost_again_and_again_fails(tmp_path: Path, monkeypatch: p
     job = jobs_of()[0]
     codes = [cluster.train(job, tmp_path, "token") for _ in range(4)]
     assert codes == [ExitCode.INTERRUPTED] * 3 + [ExitCode.FAILED]
-    assert "3 times" in run_status(tmp_path / job.name).error  # type: ignore[union-attr]
-    (tmp_path / job.name / "checkpoints" / "checkpoint_6").mkdir(parents=True)
+    assert "3 times" in run_status(tmp_path / job.folder).error  # type: ignore[union-attr]
+    (tmp_path / job.folder / "checkpoints" / "checkpoint_6").mkdir(parents=True)
     assert cluster.train(job, tmp_path, "token") == ExitCode.INTERRUPTED  # it has progressed
 
 
-def test_a_dead_address_is_reported_soon(
-    bench: Bench, tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_dead_address_is_reported_soon(bench, tmp_path, capsys, monkeypatch):
     """Nothing listens on port 9; a listener that never answers is a hang."""
     pytest.importorskip("ray")
     monkeypatch.setattr(cluster, "CONNECTING_SECONDS", 6.0)
@@ -319,9 +303,7 @@ def test_a_dead_address_is_reported_soon(
 
 
 @pytest.mark.slow
-def test_a_node_killed_in_the_middle_loses_nothing(
-    ray_cluster: Any, bench: Bench, tmp_path: Path, capsys: Any
-) -> None:
+def test_a_node_killed_in_the_middle_loses_nothing(ray_cluster, bench, tmp_path, capsys):
     assert bench("--ray", ray_cluster.address, "--memory", "1000") == 2  # more than any machine has
     assert "CloseLoopToy/sacfd/seed_0" in capsys.readouterr().err and not (tmp_path / "out").exists()
     node, out = ray_cluster.add_node(**NODE), tmp_path / "out"
@@ -352,9 +334,7 @@ def test_a_node_killed_in_the_middle_loses_nothing(
 
 
 @pytest.mark.slow
-def test_a_caller_that_is_interrupted_or_killed_loses_nothing(
-    ray_cluster: Any, bench: Bench, tmp_path: Path
-) -> None:
+def test_a_caller_that_is_interrupted_or_killed_loses_nothing(ray_cluster, bench, tmp_path):
     out, plan = tmp_path / "out", {**TINY, "tasks": ["CloseLoopToySlow"], "baselines": ["sacfd", "sac"]}
     for how, code in ((signal.SIGINT, 130), (signal.SIGKILL, -9)):
         caller = start(tmp_path, plan, "--ray", ray_cluster.address)

@@ -9,15 +9,15 @@ import h5py
 import pytest
 from sweeps import ROOT
 
+from bulletarm_gym.demonstrations import load
 from zoo_configs.cli import main
-from zoo_configs.environments import demonstrations
 
 PICKING, REACHING = "BulletArm/CloseLoopBlockPicking-v0", "BulletArm/CloseLoopBlockReaching-v0"
 SMALL = ["--env-kwargs", "obs_size:48"]
 
 
 @pytest.fixture(scope="module")
-def picking(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def picking(tmp_path_factory):
     """A file of two episodes."""
     path = tmp_path_factory.mktemp("demos") / "picking.h5"
     assert main(["demos", "--env", PICKING, "-n", "2", "--seed", "3", "-o", str(path), *SMALL]) == 0
@@ -31,9 +31,7 @@ def train(folder: Path, data: object, *more: str) -> int:
     return main(["train", *names, *tiny, *more, *params])
 
 
-def test_a_file_is_written_and_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_is_written_and_named(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     words = ["--env", "BulletArm/OpenLoopBlockStacking-v0", "--planner", "deconstruction", "-n", "1"]
     assert main(["demos", *words, "--env-kwargs", "num_objects:2"]) == 0
@@ -41,12 +39,10 @@ def test_a_file_is_written_and_named(
     assert "1 of 1 attempts succeeded, mean_length=2.00" in printed
     assert printed.endswith(f"Written:\n  {name}\n")
     assert [path.name for path in tmp_path.iterdir()] == [name]
-    assert len(demonstrations().load(name)[0]) == 2
+    assert len(load(name)[0]) == 2
 
 
-def test_a_training_starts_with_the_file_and_resumes_without_it(
-    picking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_training_starts_with_the_file_and_resumes_without_it(picking, tmp_path, capsys):
     (file := tmp_path / "picking.h5").write_bytes(picking.read_bytes())
     assert train(tmp_path, file, *SMALL, "--save-freq", "4") == 0
     assert "expert episodes" not in capsys.readouterr().err
@@ -56,33 +52,25 @@ def test_a_training_starts_with_the_file_and_resumes_without_it(
     assert main(["train", "--resume", str(run), "-n", "6", "--no-progress"]) == 0
 
 
-@pytest.mark.parametrize(
-    ("more", "texts"),
-    [
+def test_demonstrations_of_another_environment_are_refused(picking, tmp_path, capsys):
+    for more, texts in (
         ([], ("'obs_size': 48", "'obs_size': 64")),
         ([*SMALL, "--env", REACHING], (PICKING, REACHING)),
         ([*SMALL, "--env-kwargs", "max_steps:9"], ("'max_steps': 50", "'max_steps': 9")),
         ([*SMALL, "--env-kwargs", "action_sequence:xyzrp"], ("'pxyzr'", "'xyzrp'")),
-    ],
-    ids=str,
-)
-def test_demonstrations_of_another_environment_are_refused(
-    more: list[str], texts: tuple[str, str], picking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert train(tmp_path, picking, *more) == 2
-    message = capsys.readouterr().err
-    assert all(text in message for text in texts)
+    ):
+        assert train(tmp_path, picking, *more) == 2
+        message = capsys.readouterr().err
+        assert all(text in message for text in texts)
     assert not list(tmp_path.iterdir())
 
 
-def test_demonstrations_of_another_task_can_be_accepted(picking: Path, tmp_path: Path) -> None:
+def test_demonstrations_of_another_task_can_be_accepted(picking, tmp_path):
     assert train(tmp_path, picking, *SMALL, "--env", REACHING, "--allow-mismatched-demos") == 0
 
 
 @pytest.mark.parametrize("damage", ["cut", "empty", "flipped", "hollow"])
-def test_a_damaged_file_is_named(
-    damage: str, picking: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_damaged_file_is_named(damage, picking, tmp_path, capsys):
     content = picking.read_bytes()
     (file := tmp_path / "damaged.h5").write_bytes({"cut": content[:5000], "empty": b""}.get(damage, content))
     if damage == "flipped":
@@ -98,7 +86,7 @@ def test_a_damaged_file_is_named(
     assert str(file) in line
 
 
-def test_a_killed_collection_leaves_nothing(tmp_path: Path) -> None:
+def test_a_killed_collection_leaves_nothing(tmp_path):
     words = ["demos", "--env", PICKING, "-n", "100000", "-P", *SMALL, "-o", str(tmp_path / "a.h5")]
     command = [sys.executable, "-m", "zoo_configs.cli", *words]
     with subprocess.Popen(command, stderr=subprocess.PIPE, cwd=ROOT) as process:

@@ -1,15 +1,12 @@
 """Command lines drawn at random, valid ones and some with a mistake: followed, or refused in one line."""
 
 import shutil
-from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from zoo_configs.cli import main
 
-Follow = Callable[[list[str]], bool]
 JUNK = "|0|-1|1.5|x|'|a:1|a:|{|☃|nowhere|/dev/null/x|nan|None|[]|lambda: 0".split("|")
 LEAST_SUCCESS = 0.3
 LEARNING = ["expert_episodes:1", "pretrain_steps:1", "batch_size:2", "n_envs:1", "buffer_size:50"]
@@ -53,20 +50,14 @@ def draw(rng: np.random.Generator) -> list[str]:
     return line
 
 
-@pytest.fixture
-def follow(
-    toy_id: str,
-    trained: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> Follow:
-    """Runs a line in a folder of its own and returns True if it succeeds."""
+@pytest.mark.parametrize(
+    ("seed", "number"), [(0, 40), *(pytest.param(seed, 150, marks=pytest.mark.slow) for seed in range(1, 11))]
+)
+def test_random_command_lines(seed, number, toy_id, trained, tmp_path, capsys, monkeypatch):
     [run] = trained.glob("sacfd/*_1")
-    logs, here = tmp_path / "logs", tmp_path / "here"
+    logs, here, rng, successes = tmp_path / "logs", tmp_path / "here", np.random.default_rng(seed), 0
     meanings = {"RUN": str(logs / "sacfd" / run.name), "LOGS": str(logs), "TOY": toy_id}
-
-    def go(line: list[str]) -> bool:
+    for line in (draw(rng) for _ in range(number)):
         shutil.rmtree(logs, ignore_errors=True)
         shutil.copytree(trained, logs)
         here.mkdir()
@@ -81,18 +72,5 @@ def follow(
         for folder in here.glob("logs/*/*_[0-9]*/"):
             assert list(folder.glob("*.zip")) or list(folder.glob("checkpoints/*")), line
         shutil.rmtree(here)
-        return status == 0
-
-    return go
-
-
-def test_random_command_lines(follow: Follow) -> None:
-    rng = np.random.default_rng(0)
-    assert np.mean([follow(draw(rng)) for _ in range(40)]) >= LEAST_SUCCESS
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(1, 11))
-def test_many_random_command_lines(seed: int, follow: Follow) -> None:
-    rng = np.random.default_rng(seed)
-    assert np.mean([follow(draw(rng)) for _ in range(150)]) >= LEAST_SUCCESS
+        successes += status == 0
+    assert successes >= LEAST_SUCCESS * number

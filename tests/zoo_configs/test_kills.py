@@ -7,10 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import optuna
 import pytest
-from optuna.storages.journal import JournalFileBackend, JournalStorage
-from sweeps import HERE, PATH, same
+from sweeps import HERE, PATH, TINY, same, trials_of
 
 from zoo_configs.cli import main
 from zoo_configs.experiments.config import resolve
@@ -46,18 +44,11 @@ class Dying(toy_env.ToyEnv):
 os.replace = replace_and_count
 gymnasium.register(toy_env.TOY_ID, Dying)
 """
-TINY = {"expert_episodes": 2, "pretrain_steps": 2, "batch_size": 4, "buffer_size": 100, "n_envs": 1}
-OPTIONS = {
-    "n_timesteps": 12,
-    "eval_freq": 4,
-    "eval_episodes": 1,
-    "save_freq": 4,
-    "verbose": 0,
-    "num_threads": 1,
-}
+OPTIONS = {**TINY["options"], "eval_freq": 4, "eval_episodes": 1, "save_freq": 4, "num_threads": 1}
 TUNE = ["tune", "--baseline", "sacfd", "--preset", "quick", "--env-kwargs", "obs_size:48", "-n", "6"]
 TUNE += ["--num-threads", "1", "--eval-episodes", "1", "--n-evaluations", "2", "--n-startup-trials", "1"]
-TUNE += ["--n-trials", "2", "-params", *(f"{name}:{value}" for name, value in TINY.items())]
+TUNE += ["--n-trials", "2", "-params", "expert_episodes:2", "pretrain_steps:2", "batch_size:4"]
+TUNE += ["buffer_size:100", "n_envs:1"]
 # Moments of about 45 events of a training and 60 of a study. The default suite has the first ones.
 MOMENTS = np.random.default_rng(0)
 SLOW = pytest.mark.slow
@@ -68,7 +59,7 @@ OF_STUDY = [pytest.param(int(m), marks=[SLOW] * (n > 0)) for n, m in enumerate(M
 
 
 def train(toy_id: str, folder: Path) -> Run:
-    experiment = resolve("sacfd", "quick", toy_id, {**TINY, "env_kwargs": {"obs_size": 48}})
+    experiment = resolve("sacfd", "quick", toy_id, TINY["hyperparams"])
     options = TrainingOptions.of(experiment, OPTIONS)
     return train_experiment(experiment, 0, "cpu", folder, options=options, at=folder / "run")
 
@@ -84,7 +75,7 @@ def run_dying(folder: Path, moment: int, code: str) -> int:
 
 
 @pytest.mark.parametrize("moment", OF_TRAINING)
-def test_a_killed_training_loses_nothing(moment: int, toy_id: str, tmp_path: Path) -> None:
+def test_a_killed_training_loses_nothing(moment, toy_id, tmp_path):
     code = f"import test_kills; test_kills.train({toy_id!r}, test_kills.Path({str(tmp_path)!r}))"
     assert run_dying(tmp_path, moment, code) in (0, -9)
     status = run_status(tmp_path / "run")
@@ -92,21 +83,20 @@ def test_a_killed_training_loses_nothing(moment: int, toy_id: str, tmp_path: Pat
     assert same(train(toy_id, tmp_path).folder, train(toy_id, tmp_path / "whole").folder)
 
 
-def counted(folder: Path) -> list[tuple[Any, Any, str]]:
+def counted(folder: Path, study: str) -> list[tuple[Any, Any, str]]:
     """The trials of a study that count."""
-    storage = JournalStorage(JournalFileBackend(str(folder / "journal.log")))
-    trials = optuna.load_study(study_name=folder.name, storage=storage).trials
+    trials = trials_of(folder, study)
     again = {number for trial in trials for number in trial.user_attrs.get("repeats", ())}
     kept = [(trial.params, trial.value, trial.state.name) for trial in trials if trial.number not in again]
     return sorted(kept, key=str)
 
 
 @pytest.mark.parametrize("moment", OF_STUDY)
-def test_a_killed_study_loses_nothing(moment: int, toy_id: str, tmp_path: Path) -> None:
+def test_a_killed_study_loses_nothing(moment, toy_id, tmp_path):
     (tmp_path / "space.yml").write_text("learning_rate: {low: 0.0001, high: 0.01, log: true}")
     words = [*TUNE, "--env", toy_id, "-f", str(tmp_path / "logs"), "--space", str(tmp_path / "space.yml")]
     assert run_dying(tmp_path, moment, f"from zoo_configs.cli import main; main({words!r})") in (0, -9)
     assert main(words) == 0
     assert main([*words, "--study-name", "whole"]) == 0
-    killed, whole = (counted(tmp_path / "logs/studies" / name) for name in ("sacfd_CloseLoopToy", "whole"))
+    killed, whole = (counted(tmp_path / "logs", name) for name in ("sacfd_CloseLoopToy", "whole"))
     assert killed == whole and len(whole) == 2

@@ -1,8 +1,6 @@
 """Networks of the presets as ``train`` builds them, before they have learned anything."""
 
 import functools
-from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -17,20 +15,11 @@ from zoo_configs.cli import main
 from zoo_configs.drawing.video import PANEL_SIZE
 from zoo_configs.environments import register_environments
 from zoo_configs.experiments.config import resolve
-from zoo_configs.training.trainer import Trainer
 
 register_environments()
 BLOCKS, STACKING = "BulletArm/CloseLoopBlockStacking-v0", "BulletArm/OpenLoopBlockStacking-v0"
 RAMP = "BulletArm/OpenLoopRampBlockStacking-v0"
-SCALES = {
-    "plain": {"standardise": None, "above_ground": None},
-    "centimetres": {"standardise": [0.1, 0.01], "above_ground": None},
-    "heights": {"standardise": [0.0, 0.1], "above_ground": [0.2, 0.1]},
-}
-CLOSED_LOOP = [
-    *((name, "heights") for name in ("rad_sac", "drq_sacfd", "ferm_sacfd", "equi_sacfd_per_aug", "equi_tqc")),
-    *((name, scale) for name in ("sacfd", "equi_sacfd") for scale in SCALES),
-]
+CLOSED_LOOP = ("sacfd", "equi_sacfd", "rad_sac", "drq_sacfd", "ferm_sacfd", "equi_sacfd_per_aug", "equi_tqc")
 OPEN_LOOP = [
     *(
         (network, STACKING, "open_loop_3d")
@@ -40,27 +29,7 @@ OPEN_LOOP = [
     ("cnn_asr_6d", RAMP, "open_loop_6d"),
     ("equi_deictic_asr", "BulletArm/OpenLoopBumpHouseBuilding4-v0", "open_loop_6d"),
 ]
-Build = Callable[..., Any]
-
-
-@pytest.fixture
-def build(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Build]:
-    """Runs ``bulletarm-zoo train`` up to the first step and returns the model and its first observation."""
-    built: list[Any] = []
-
-    def learn(trainer: Any) -> bool:
-        built.append((trainer.model, trainer.model.get_env().reset()))
-        return True
-
-    monkeypatch.setattr(Trainer, "learn", learn)
-
-    def run(baseline: str, preset: str, env_id: str, *more: str) -> Any:
-        words = ["train", "--baseline", baseline, "--preset", preset, "--env", env_id, "--seed", "0"]
-        words += ["-f", str(tmp_path), "--device", "cpu", "--vec-env", "dummy", "--no-progress"]
-        assert main([*words, "--eval-freq", "-1", *more, "n_envs:1"]) == 0
-        return built[-1]
-
-    yield run
+UNTRAINED = {"expert_episodes": 0, "pretrain_steps": 0, "buffer_size": 100}
 
 
 @functools.cache
@@ -90,18 +59,15 @@ def check_untrained(model: Any, observations: dict[str, th.Tensor]) -> None:
 
 
 @pytest.mark.parametrize("preset", ["cpu", "quick"])  # those of the paper are not normalised
-@pytest.mark.parametrize(("baseline", "scale"), CLOSED_LOOP)
-def test_an_untrained_agent_expects_nothing_and_explores(
-    baseline: str, scale: str, preset: str, build: Build, toy_id: str
-) -> None:
-    kwargs = f"policy_kwargs:{{features_extractor_kwargs: {SCALES[scale]}}}".replace("None", "null")
-    model, _ = build(baseline, preset, toy_id, "-params", "buffer_size:100", kwargs)
+@pytest.mark.parametrize("baseline", CLOSED_LOOP)
+def test_an_untrained_agent_expects_nothing_and_explores(baseline, preset, toy_id):
+    model = make_model(resolve(baseline, preset, toy_id), "cpu", **UNTRAINED)
     check_untrained(model, real_observations(obs_size=model.observation_space["heightmap"].shape[-1]))
 
 
 @pytest.mark.parametrize("preset", ["cpu", "quick"])
-def test_an_untrained_agent_of_states_expects_nothing_and_explores(preset: str) -> None:
-    model = make_model(resolve("sacfd_state", preset, BLOCKS), "cpu", expert_episodes=0, pretrain_steps=0)
+def test_an_untrained_agent_of_states_expects_nothing_and_explores(preset):
+    model = make_model(resolve("sacfd_state", preset, BLOCKS), "cpu", **UNTRAINED)
     assert set(model.observation_space.spaces) == {"state", "holding"}
     check_untrained(model, real_observations(observation="state"))
     model.env.close()
@@ -109,23 +75,22 @@ def test_an_untrained_agent_of_states_expects_nothing_and_explores(preset: str) 
 
 @pytest.mark.parametrize("preset", ["cpu", pytest.param("paper", marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("network", "env_id", "benchmark"), OPEN_LOOP)
-def test_an_untrained_spatial_network_expects_nothing(
-    network: str, env_id: str, benchmark: str, preset: str, build: Build
-) -> None:
+def test_an_untrained_spatial_network_expects_nothing(network, env_id, benchmark, preset):
     """Networks of the paper, which need a GPU, are built but not evaluated."""
-    model, first = build(f"sdqfd_{network}", preset, env_id, "--benchmark", benchmark, "-params")
+    experiment = resolve(f"sdqfd_{network}", preset, env_id, benchmark=benchmark)
+    model = make_model(experiment, "cpu", **UNTRAINED)
     assert model.policy.action_sequence == BENCHMARKS[benchmark].action_sequence
-    if preset == "paper":
-        return
-    observations, _ = model.policy.obs_to_tensor(first)
-    indices, _ = model.q_net.greedy(observations)
-    with th.no_grad():
-        values = model.q_net.values(observations, indices)
-    assert all(level.isfinite().all() and level.abs().max() <= 1 for level in values)
+    if preset == "cpu":
+        observations, _ = model.policy.obs_to_tensor(model.env.reset())
+        indices, _ = model.q_net.greedy(observations)
+        with th.no_grad():
+            values = model.q_net.values(observations, indices)
+        assert all(level.isfinite().all() and level.abs().max() <= 1 for level in values)
+    model.env.close()
 
 
-def test_a_video_shows_the_values_of_a_spatial_policy(tmp_path: Path) -> None:
-    model = make_model(resolve("sdqfd_fcn", "cpu", STACKING), "cpu", expert_episodes=0, pretrain_steps=0)
+def test_a_video_shows_the_values_of_a_spatial_policy(tmp_path):
+    model = make_model(resolve("sdqfd_fcn", "cpu", STACKING), "cpu", **UNTRAINED)
     model.save(tmp_path / "model")
     model.env.close()
     words = [str(tmp_path / "model.zip"), "--env", STACKING, "--env-kwargs", "obs_size:64", "in_hand_size:16"]

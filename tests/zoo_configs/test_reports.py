@@ -5,12 +5,12 @@ import shlex
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import gymnasium
+import imageio.v3 as iio
 import numpy as np
 import pytest
 import torch
@@ -21,9 +21,8 @@ from bulletarm_gym.check.machine import describe_processor
 from zoo_configs import provenance
 from zoo_configs.cli import main
 from zoo_configs.commands.train import build_parser
-from zoo_configs.drawing import curves as drawing
-from zoo_configs.drawing.curves import LearningCurve, draw_curves, load_curve, mean_curve
-from zoo_configs.drawing.video import compose_frame, observed_images
+from zoo_configs.drawing.curves import LearningCurve, mean_curve
+from zoo_configs.drawing.video import observed_images
 from zoo_configs.experiments.config import resolve
 from zoo_configs.experiments.flags import find_experiment
 from zoo_configs.files import whole_file
@@ -37,7 +36,6 @@ PICKING, REACHING = "BulletArm/CloseLoopBlockPicking-v0", "BulletArm/CloseLoopBl
 SMALL = {"obs_size": 48}
 OVERRIDES = {"expert_episodes": 7, "replay_buffer_kwargs": {"expert_fraction": 0.4}, "env_kwargs": SMALL}
 GOOD = [[False] * 4, [True, True, False, True], [True, True, True, False]]
-Refuse = Callable[..., str]
 
 
 # ---- Lists
@@ -46,26 +44,21 @@ Refuse = Callable[..., str]
 @pytest.mark.parametrize(
     ("words", "row"),
     [
-        ([], REACHING),
-        (["--env", REACHING], "surface 'flat'"),
-        (["--env", "BulletArm/OpenLoopBumpHouseBuilding4-v0"], "surface 'bump'"),
-        (["--env", REACHING], "control 'close_loop'"),
-        (["--baselines"], "equi_sacfd_per_aug sacfd equivariant per_aug"),
+        ("", REACHING),
+        (f"--env {REACHING}", "control 'close_loop' surface 'flat'"),
+        ("--baselines", "equi_sacfd_per_aug sacfd equivariant per_aug"),
     ],
-    ids=str,
 )
-def test_lists_fit_80_columns(
-    words: list[str], row: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_lists_fit_80_columns(words, row, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
-    assert main(["list", *words]) == 0
+    assert main(["list", *words.split()]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert max(len(line) for line in lines if not line.startswith("observation")) <= 80
     assert "…" not in "".join(lines)
-    assert any(row in " ".join(line.split()) for line in lines)
+    assert row in " ".join(" ".join(lines).split())
 
 
-def test_help_loads_neither_pytorch_nor_the_engine(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_loads_neither_pytorch_nor_the_engine(capsys):
     code = (
         "import sys; from zoo_configs.cli import COMMANDS, main\n"
         "for command in COMMANDS:\n"
@@ -82,17 +75,7 @@ def test_help_loads_neither_pytorch_nor_the_engine(capsys: pytest.CaptureFixture
 # ---- Curves
 
 
-def test_curves_read_success(tmp_path: Path) -> None:
-    path = tmp_path / "evaluations.npz"
-    np.savez(path, timesteps=[5, 10], results=[[0, 0], [9, 9]], successes=[[False, True], [True, True]])
-    curve = load_curve(path)
-    assert curve.success.tolist() == [0.5, 1.0]
-    assert curve.error == pytest.approx([0.5 / np.sqrt(2), 0])
-    draw_curves({"title": {"agent": curve}}, tmp_path / "curve.png")
-    assert (tmp_path / "curve.png").read_bytes().startswith(b"\x89PNG")
-
-
-def test_a_mean_curve_has_at_each_step_the_runs_that_were_evaluated() -> None:
+def test_a_mean_curve_has_at_each_step_the_runs_that_were_evaluated():
     error, ones = np.full(3, 0.1), np.ones(3, dtype=np.int64)
     long = LearningCurve(np.array([5, 10, 15]), np.array([0.0, 0.5, 1.0]), error, "success", ones)
     short = LearningCurve(np.array([5, 10]), np.array([1.0, 1.0]), error[:2], "success", ones[:2])
@@ -104,26 +87,13 @@ def test_a_mean_curve_has_at_each_step_the_runs_that_were_evaluated() -> None:
     assert mean_curve([long]) is long
 
 
-def test_plot_draws_values_of_expert_and_online_transitions(
-    trained: Path, tmp_path: Path, refuse: Refuse, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    drawn: list[Any] = []
-
-    def subplots(rows: int, columns: int, original: Any = drawing._subplots) -> Any:
-        drawn.append(original(rows, columns))
-        return drawn[-1]
-
-    monkeypatch.setattr(drawing, "_subplots", subplots)
+def test_plot_draws_values_of_expert_and_online_transitions(trained, tmp_path, refuse):
     assert main(["plot", "-f", str(trained), "--training", "-o", str(tmp_path / "a.png")]) == 0
-    [(_, grid)] = drawn
-    assert [len(axes.lines) for axes in grid.flat] == [2, 2]
     with Image.open(tmp_path / "a.png") as image:
-        assert image.size[0] > 2 * image.size[1] * 0.9
-    [folder] = trained.glob("sacfd/*_1")
-    (copy := tmp_path / "logs" / "sacfd" / folder.name).mkdir(parents=True)
-    for name in ("hyperparams.yml", "evaluations.npz"):
-        shutil.copy(folder / name, copy / name)
-    assert "logged" in refuse("plot", "-f", str(tmp_path / "logs"), "--training")
+        assert image.size[0] > 2 * image.size[1] * 0.9  # two panels
+    shutil.copytree(trained, logs := tmp_path / "logs")
+    next(logs.glob("sacfd/*/training.csv")).unlink()
+    assert "logged" in refuse("plot", "-f", str(logs), "--training")
 
 
 # ---- Results
@@ -146,7 +116,7 @@ def add_run(
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     """Two tasks, two baselines, two seeds."""
     for env_id in (PICKING, REACHING):
         for seed in range(2):
@@ -161,27 +131,21 @@ def folder(tmp_path: Path) -> Path:
     [
         ({"learning_rate": 0.002}, "learning_rate=0.002"),
         ({"env_kwargs": {**SMALL, "robot": "panda"}}, "robot=panda"),
-        ({"env_kwargs": {**SMALL, "max_steps": 9}}, "max_steps=9"),
         ({"preset": "quick"}, "preset=quick"),
         ({"options": {"n_timesteps": 20}}, "n_timesteps=20"),
         ({"options": {"eval_episodes": 3, "num_threads": 2}}, None),
     ],
     ids=str,
 )
-def test_runs_of_other_settings_are_other_experiments(
-    changes: dict[str, Any], label: str | None, tmp_path: Path
-) -> None:
+def test_runs_of_other_settings_are_other_experiments(changes, label, tmp_path):
     """Evaluations and threads do not make an experiment."""
     add_run(tmp_path, REACHING, "sacfd", 0, GOOD)
     add_run(tmp_path, REACHING, "sacfd", 1, GOOD, **changes)
     found = [experiment.label for experiment in read_experiments(tmp_path)]
-    if label is None:
-        assert found == ["sacfd"]
-    else:
-        assert len(found) == 2 and sum(label in one for one in found) == 1
+    assert found == ["sacfd"] if label is None else [label in one for one in found].count(True) == 1
 
 
-def test_an_equal_run_counts_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_equal_run_counts_once(tmp_path, capsys):
     longer = add_run(tmp_path, REACHING, "sacfd", 0, GOOD)
     shorter = add_run(tmp_path, REACHING, "sacfd", 0, GOOD[:2])
     [experiment] = read_experiments(tmp_path)
@@ -189,7 +153,7 @@ def test_an_equal_run_counts_once(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert str(shorter.folder) in capsys.readouterr().err
 
 
-def test_tables_show_every_seed(folder: Path) -> None:
+def test_tables_show_every_seed(folder):
     experiments = read_experiments(folder)
     row = ["CloseLoopBlockPicking", "equi_sacfd", "0.88", "0: 1.00, 1: 0.75", "2 of 2", "30"]
     assert experiment_row(experiments[0])[:6] == row
@@ -198,7 +162,7 @@ def test_tables_show_every_seed(folder: Path) -> None:
     assert means == pytest.approx([0.5, 0.5, 0.3])
 
 
-def test_the_command_of_a_run_repeats_it(folder: Path) -> None:
+def test_the_command_of_a_run_repeats_it(folder):
     run = next(run for run in find_runs(folder) if run.seed == 1)
     words = shlex.split(repeating_command(run))
     assert words[:2] == ["bulletarm-zoo", "train"]
@@ -208,9 +172,7 @@ def test_the_command_of_a_run_repeats_it(folder: Path) -> None:
     assert TrainingOptions.of(again, given_options(args)) == run.options
 
 
-def test_plot_writes_figure_and_tables(
-    folder: Path, capsys: pytest.CaptureFixture[str], refuse: Refuse
-) -> None:
+def test_plot_writes_figure_and_tables(folder, capsys, refuse):
     assert main(["plot", "-f", str(folder)]) == 0
     out = capsys.readouterr().out
     written = [folder / f"learning_curves.{suffix}" for suffix in ("png", "md", "csv")]
@@ -232,7 +194,7 @@ def test_plot_writes_figure_and_tables(
     assert str(evaluations) in refuse("plot", "-f", str(folder))
 
 
-def test_returns_and_failed_runs_are_in_the_table(tmp_path: Path) -> None:
+def test_returns_and_failed_runs_are_in_the_table(tmp_path):
     run = add_run(tmp_path, REACHING, "sacfd", 0, GOOD)
     np.savez(run.evaluations_file, timesteps=[10], results=[[3.0, 5.0]])
     (run.folder / "state.yml").unlink()
@@ -245,25 +207,19 @@ def test_returns_and_failed_runs_are_in_the_table(tmp_path: Path) -> None:
 # ---- Videos, files, seeds, provenance
 
 
-def test_record_shows_agent_and_expert(run_folder: Path, toy_id: str, tmp_path: Path) -> None:
+def test_record_shows_agent_and_expert(run_folder, tmp_path):
     video = tmp_path / "agent.gif"
     assert main(["record", str(run_folder), "-n", "2", "--device", "cpu", "-o", str(video)]) == 0
     with Image.open(video) as image:
         assert image.n_frames >= 4 and image.size == (640, 352)
     video = tmp_path / "expert.mp4"
-    assert main(["record", "--expert", "--env", toy_id, "-n", "1", "-o", str(video)]) == 0
-    assert video.stat().st_size > 0
+    words = ["--env", "BulletArm/OpenLoopBlockStacking-v0", "--env-kwargs", "num_objects:2"]
+    assert main(["record", "--expert", *words, "-n", "1", "-o", str(video)]) == 0
+    assert len(iio.imread(video)) > 10  # of two actions, whose motion is shown
     assert sorted(path.name for path in tmp_path.iterdir()) == ["agent.gif", "expert.mp4"]
 
 
-def test_a_frame_shows_scene_and_images() -> None:
-    frame = compose_frame(np.full((60, 80, 3), 7, np.uint8), [np.full((8, 8), 0.5)], "caption")
-    assert frame.shape == (352, 640, 3)
-    assert (frame[:320, :320] == 7).all() and (frame[:320, 320:] != 7).all()
-    assert frame[320:].max() > 200  # there is a text
-
-
-def test_images_have_fixed_scales() -> None:
+def test_images_have_fixed_scales():
     """The surface stays dark while the gripper moves, and a pixel of another image keeps its value."""
     with closing(gymnasium.make("BulletArm/CloseLoopBlockPicking-v0", obs_size=32)) as env:
         env.reset(seed=0)
@@ -277,15 +233,7 @@ def test_images_have_fixed_scales() -> None:
     assert image == pytest.approx(np.full((8, 8), 0.25))
 
 
-def test_films_of_open_loop_show_the_motion(tmp_path: Path) -> None:
-    video = tmp_path / "stack.gif"
-    words = ["--env", "BulletArm/OpenLoopBlockStacking-v0", "--env-kwargs", "num_objects:2"]
-    assert main(["record", "--expert", *words, "-n", "1", "-o", str(video)]) == 0
-    with Image.open(video) as image:
-        assert image.n_frames > 10  # of two actions
-
-
-def test_a_file_is_written_atomically(tmp_path: Path) -> None:
+def test_a_file_is_written_atomically(tmp_path):
     path = tmp_path / "file.txt"
     path.write_text("before")
     with pytest.raises(RuntimeError), whole_file(path) as partial:
@@ -297,14 +245,14 @@ def test_a_file_is_written_atomically(tmp_path: Path) -> None:
     assert path.read_text() == "after" and list(tmp_path.iterdir()) == [path]
 
 
-def test_seed_streams_are_disjoint() -> None:
+def test_seed_streams_are_disjoint():
     seeds = {
         stream_seed(seed, stream, index) for seed in range(4) for stream in SeedStream for index in range(9)
     }
     assert len(seeds) == 4 * len(SeedStream) * 9
 
 
-def test_a_gpu_is_part_of_the_hardware(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_gpu_is_part_of_the_hardware(monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch.cuda, "get_device_name", lambda device: f"GPU {device.index or 0}")
     processor = describe_processor()
@@ -312,7 +260,7 @@ def test_a_gpu_is_part_of_the_hardware(monkeypatch: pytest.MonkeyPatch) -> None:
     assert machines == [processor, f"{processor}, GPU 1"]
 
 
-def test_the_commit_is_that_of_the_running_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_commit_is_that_of_the_running_code(tmp_path, monkeypatch):
     def git(*words: str) -> str:
         who = ["-c", "user.name=a", "-c", "user.email=a@b", "-c", "commit.gpgsign=false"]
         command = ["git", "-C", str(tmp_path), *who, *words]

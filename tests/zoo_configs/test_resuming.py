@@ -3,7 +3,6 @@
 import errno
 import os
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,14 +18,12 @@ from zoo_configs.cli import main
 
 RUN_NAME = "BulletArm-CloseLoopToy-v0_1"
 STACKING = "BulletArm/OpenLoopBlockStacking-v0"
-Train = Callable[..., int]
-Refuse = Callable[..., str]
 
 
 # ---- Resuming
 
 
-def test_an_extended_run_equals_a_longer_one(train_tiny: Train, tmp_path: Path) -> None:
+def test_an_extended_run_equals_a_longer_one(train_tiny, tmp_path):
     """At a constant learning rate: a schedule depends on the end of the training."""
     extended, longer = (tmp_path / name / "sacfd" / RUN_NAME for name in ("a", "b"))
     constant = "learning_rate:0.001"
@@ -36,9 +33,7 @@ def test_an_extended_run_equals_a_longer_one(train_tiny: Train, tmp_path: Path) 
     assert same(extended, longer) and len(list(extended.parent.iterdir())) == 1
 
 
-def test_a_damaged_checkpoint_is_replaced_by_the_one_before(
-    train_tiny: Train, tmp_path: Path, capsys: pytest.CaptureFixture[str], refuse: Refuse
-) -> None:
+def test_a_damaged_checkpoint_is_replaced_by_the_one_before(train_tiny, tmp_path, capsys, refuse):
     damaged, whole = (tmp_path / name / "sacfd" / RUN_NAME for name in ("a", "b"))
     constant = "learning_rate:0.001"
     assert train_tiny(tmp_path / "a", constant) == 0
@@ -55,27 +50,21 @@ def test_a_damaged_checkpoint_is_replaced_by_the_one_before(
     assert "model.zip" in refuse("train", "--resume", str(damaged), "-n", "24")
 
 
-@pytest.mark.parametrize(
-    ("words", "text"),
-    [
+def test_a_run_that_cannot_be_resumed_is_one_line(run_folder, refuse):
+    fixed = ("--seed", "--baseline", "--env", "--benchmark", "--log-folder")
+    for words, text in (
         ("", "12 of 12 steps"),
         ("-n 18 --eval-episodes 3", "eval_episodes must be 2"),
         ("-n 18 --device cuda:99", "'cuda:99'"),
-        *((f"{flag} 0", flag) for flag in ("--seed", "--baseline", "--env", "--benchmark", "--log-folder")),
+        *((f"{flag} 0", flag) for flag in fixed),
         ("-params gamma:0.5", "--hyperparams"),
         ("--env-kwargs obs_size:64", "--env-kwargs"),
         ("-i model.zip", "--trained-agent"),
-    ],
-)
-def test_a_run_that_cannot_be_resumed_is_one_line(
-    words: str, text: str, run_folder: Path, refuse: Refuse
-) -> None:
-    assert text in refuse("train", "--resume", str(run_folder), *words.split())
+    ):
+        assert text in refuse("train", "--resume", str(run_folder), *words.split())
 
 
-def test_a_full_disk_leaves_no_half_checkpoint(
-    train_tiny: Train, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_full_disk_leaves_no_half_checkpoint(train_tiny, tmp_path, monkeypatch, capsys):
     def fill(path: Path) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
@@ -89,9 +78,7 @@ def test_a_full_disk_leaves_no_half_checkpoint(
     assert not (tmp_path / "b").exists()
 
 
-def test_a_run_without_a_model_is_skipped(
-    trained: Path, toy_id: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], refuse: Refuse
-) -> None:
+def test_a_run_without_a_model_is_skipped(trained, toy_id, tmp_path, capsys, refuse):
     shutil.copytree(trained, tmp_path / "logs")
     runs = tmp_path / "logs" / "sacfd"
     killed, garbled = runs / f"{RUN_NAME[:-1]}2", runs / f"{RUN_NAME[:-1]}3"
@@ -111,24 +98,21 @@ def test_a_run_without_a_model_is_skipped(
 # ---- Models
 
 
-@pytest.mark.parametrize("damage", ["cut", "empty", "foreign"])
-def test_a_damaged_model_is_named(damage: str, run_folder: Path, tmp_path: Path, refuse: Refuse) -> None:
+def test_a_damaged_model_is_named(run_folder, tmp_path, refuse):
     shutil.copytree(run_folder, folder := tmp_path / RUN_NAME)
     content = (folder / "best_model.zip").read_bytes()
-    damaged = {"cut": content[: len(content) // 2], "empty": b"", "foreign": b"no archive"}
-    (folder / "best_model.zip").write_bytes(damaged[damage])
-    for command in ("enjoy", "record"):
-        assert "best_model.zip" in refuse(command, str(folder))
+    for damaged in content[: len(content) // 2], b"", b"no archive":
+        (folder / "best_model.zip").write_bytes(damaged)
+        for command in ("enjoy", "record"):
+            assert "best_model.zip" in refuse(command, str(folder))
 
 
-def test_an_agent_needs_its_observations(run_folder: Path, refuse: Refuse) -> None:
+def test_an_agent_needs_its_observations(run_folder, refuse):
     for command in ("enjoy", "record"):
         assert "agent" in refuse(command, str(run_folder), "--env-kwargs", "obs_size:64")
 
 
-def test_training_starts_from_a_model_with_other_hyperparameters(
-    train_tiny: Train, run_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_training_starts_from_a_model_with_other_hyperparameters(train_tiny, run_folder, tmp_path, capsys):
     model = str(run_folder / "best_model.zip")
     more = ["gamma:0.9", "n_steps:2", "replay_buffer_kwargs:{sampler: {shares: {expert_fraction: 0.25}}}"]
     assert train_tiny(tmp_path, *more, "n_envs:2", "-i", model) == 0
@@ -144,19 +128,14 @@ def test_training_starts_from_a_model_with_other_hyperparameters(
 @pytest.mark.parametrize(
     ("name", "env_id", "policy"),
     [
-        *(
-            (name, "Pendulum-v1", "MlpPolicy")
-            for name in ("a2c", "crossq", "ppo", "sac", "td3", "tqc", "trpo")
-        ),
-        *((name, "CartPole-v1", "MlpPolicy") for name in ("dqn", "qrdqn")),
-        ("ppo_lstm", "Pendulum-v1", "MlpLstmPolicy"),
-        *((name, "TOY", "MultiInputPolicy") for name in ("sacfd", "tqcfd", "ferm")),
-        ("sdqfd", STACKING, "FCNPolicy"),
+        *((name, "Pendulum-v1", "Mlp") for name in ("a2c", "crossq", "ppo", "sac", "td3", "tqc", "trpo")),
+        *((name, "CartPole-v1", "Mlp") for name in ("dqn", "qrdqn")),
+        ("ppo_lstm", "Pendulum-v1", "MlpLstm"),
+        *((name, "TOY", "MultiInput") for name in ("sacfd", "tqcfd", "ferm")),
+        ("sdqfd", STACKING, "FCN"),
     ],
 )
-def test_a_model_file_is_recognized(
-    name: str, env_id: str, policy: str, toy_id: str, tmp_path: Path, refuse: Refuse
-) -> None:
+def test_a_model_file_is_recognized(name, env_id, policy, toy_id, tmp_path, refuse):
     kwargs: dict[str, Any] = {}
     if env_id == "TOY":
         extractor = {"channels": [4, 8, 8, 8, 8], **({"features_dim": 6} if name == "ferm" else {})}
@@ -165,17 +144,16 @@ def test_a_model_file_is_recognized(
     size = {"TOY": {"obs_size": 48}, STACKING: {"obs_size": 32}}.get(env_id, {})
     env = gym.make(env_id.replace("TOY", toy_id), **size)
     file = str(tmp_path / "model.zip")
-    algorithm_classes()[name](policy, env, **kwargs).save(file)
+    algorithm_classes()[name](f"{policy}Policy", env, **kwargs).save(file)
     env.close()
     # The open-loop algorithms differ in their losses only.
     assert algorithm_of(Path(file)) in ({"adet", "dqfd", "sdqfd"} if name == "sdqfd" else {name})
-    if env_id in ("TOY", "CartPole-v1"):
-        words = [file, "--env", env_id.replace("TOY", toy_id), "-n", "1", "--device", "cpu"]
-        words += ["--env-kwargs", "obs_size:48"] if env_id == "TOY" else []
+    if env_id == "TOY":
+        words = [file, "--env", toy_id, "-n", "1", "--device", "cpu", "--env-kwargs", "obs_size:48"]
         assert main(["enjoy", *words]) == main(["enjoy", *words, "--algo", name]) == 0
         assert "'sacc'" in refuse("enjoy", *words, "--algo", "sacc")
 
 
-def test_a_model_of_a_run_needs_no_env(run_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_model_of_a_run_needs_no_env(run_folder, capsys):
     assert main(["enjoy", str(run_folder / "best_model.zip"), "-n", "1", "--device", "cpu"]) == 0
     assert "success_rate=" in capsys.readouterr().out

@@ -4,7 +4,7 @@ import io
 import os
 import sys
 import textwrap
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ import pytest
 import torch as th
 import yaml
 from stable_baselines3.common.callbacks import BaseCallback
-from sweeps import same
+from sweeps import TINY, same
 
 from zoo_configs.algorithms import algorithm_classes
 from zoo_configs.cli import main
@@ -28,11 +28,8 @@ from zoo_configs.training.state import State
 from zoo_configs.training.train import TrainingInterrupted, train_experiment
 
 RUN_NAME = "BulletArm-CloseLoopToy-v0_1"
-TINY = {"expert_episodes": 2, "pretrain_steps": 2, "batch_size": 4, "buffer_size": 100, "n_envs": 1}
-SHORT = {"n_timesteps": 12, "eval_freq": 6, "eval_episodes": 2, "save_freq": 6, "verbose": 0}
+SHORT = TINY["options"]
 REACHING, STACKING = "BulletArm/CloseLoopBlockReaching-v0", "BulletArm/OpenLoopBlockStacking-v0"
-Train = Callable[..., int]
-Refuse = Callable[..., str]
 TrainHere = Callable[..., Run]
 
 
@@ -50,12 +47,12 @@ class Stop(BaseCallback):
 
 
 @pytest.fixture
-def train(toy_id: str, tmp_path: Path) -> TrainHere:
+def train(toy_id, tmp_path):
     """Trains the toy: ``train(*callbacks, at=..., seed=..., gamma=..., option=...)`` returns the run."""
 
     def run(*callbacks: BaseCallback, at: str | None = None, seed: int = 0, **changes: Any) -> Run:
         options = {name: changes.pop(name) for name in list(changes) if name in SHORT}
-        experiment = resolve("sacfd", "quick", toy_id, {**TINY, "env_kwargs": {"obs_size": 48}, **changes})
+        experiment = resolve("sacfd", "quick", toy_id, {**TINY["hyperparams"], **changes})
         chosen = TrainingOptions.of(experiment, {**SHORT, **options})
         folder = None if at is None else tmp_path / at
         return train_experiment(
@@ -72,9 +69,7 @@ def state(run: Run) -> State | None:
 # ---- From Python
 
 
-def test_trainings_in_a_process_are_independent_and_quiet(
-    train: TrainHere, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_trainings_in_a_process_are_independent_and_quiet(train, capsys):
     threads = th.get_num_threads()
     alone, other, again = train(), train(seed=1), train()
     assert same(alone.folder, again.folder) and not same(alone.folder, other.folder)
@@ -82,18 +77,7 @@ def test_trainings_in_a_process_are_independent_and_quiet(
     assert th.get_num_threads() == threads and capsys.readouterr().out == ""
 
 
-def test_a_run_folder_describes_the_run(train: TrainHere) -> None:
-    run = train(at="here", seed=3)
-    about = yaml.safe_load(run.resolved_file.read_text())["run"]
-    assert (about["seed"], about["baseline"], about["preset"]) == (3, "sacfd", "quick")
-    assert about["versions"]["torch"] == th.__version__ and "cores" in about["machine"]
-    loaded = load_run(run.folder)
-    assert (loaded.seed, loaded.options, loaded.experiment) == (3, run.options, run.experiment)
-    how = loaded.status
-    assert how is not None and how.state is State.DONE and how.pid == os.getpid() and how.seconds > 0
-
-
-def test_a_chosen_folder_continues_from_its_checkpoint(train: TrainHere) -> None:
+def test_a_chosen_folder_continues_from_its_checkpoint(train):
     with pytest.raises(RuntimeError, match="pulled"):
         train(Stop(10, RuntimeError("the plug was pulled")), at="there")
     failed = load_run(train_folder := train(at="other").folder.parent / "there")
@@ -103,13 +87,12 @@ def test_a_chosen_folder_continues_from_its_checkpoint(train: TrainHere) -> None
     assert same(run.folder, train_folder.parent / "other")
     before = run.last_model.stat().st_mtime_ns
     assert train(Stop(1, RuntimeError("not reached")), at="there").last_model.stat().st_mtime_ns == before
-    with pytest.raises(CommandError, match="seed 0, not 1"):
-        train(at="there", seed=1)
-    with pytest.raises(CommandError, match="hyperparams"):
-        train(at="there", gamma=0.5)
+    for changes in {"seed": 1}, {"gamma": 0.5}:
+        with pytest.raises(CommandError, match="there"):
+            train(at="there", **changes)
 
 
-def test_work_before_the_first_checkpoint_is_not_counted_twice(train: TrainHere) -> None:
+def test_work_before_the_first_checkpoint_is_not_counted_twice(train):
     with pytest.raises(RuntimeError, match="pulled"):
         train(Stop(8, RuntimeError("the plug was pulled")), at="there", save_freq=100)
     runs = [train(at=at, save_freq=100) for at in ("there", "here")]
@@ -118,7 +101,7 @@ def test_work_before_the_first_checkpoint_is_not_counted_twice(train: TrainHere)
     assert ours.equals(theirs)
 
 
-def test_a_run_that_was_killed_at_its_very_end_is_done(train: TrainHere) -> None:
+def test_a_run_that_was_killed_at_its_very_end_is_done(train):
     """Model and last checkpoint exist, but the status does not say that it is done."""
     run, whole = train(at="a"), train(at="b")
     status = run.folder / "state.yml"
@@ -128,32 +111,27 @@ def test_a_run_that_was_killed_at_its_very_end_is_done(train: TrainHere) -> None
     assert state(train(at="a")) is State.DONE and same(run.folder, whole.folder)
 
 
-def test_a_run_that_fails_at_once_leaves_no_folder(train: TrainHere, tmp_path: Path) -> None:
+def test_a_run_that_fails_at_once_leaves_no_folder(train, tmp_path):
     with pytest.raises(RuntimeError):
         train(Stop(1, RuntimeError("early")), eval_freq=0, save_freq=0)
     assert not (tmp_path / "sacfd").exists()
 
 
-def test_ctrl_c_counts_as_killed(train: TrainHere) -> None:
+def test_ctrl_c_counts_as_killed(train):
     with pytest.raises(TrainingInterrupted) as stop:
         train(Stop(8, KeyboardInterrupt()))
     assert state(stop.value.run) is State.KILLED and stop.value.run.last_model.is_file()
 
 
-def test_run_folders_are_claimed_by_one_process(
-    tmp_path: Path, toy_id: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_run_folders_are_claimed_by_one_process(tmp_path, toy_id, monkeypatch):
     """Also if another process creates the folder between the listing and the claim."""
     assert claim_run_folder(tmp_path / "logs", toy_id).name == RUN_NAME
-    with monkeypatch.context() as patch:
-        patch.setattr(Path, "iterdir", lambda _: iter(()))
-        assert claim_run_folder(tmp_path / "logs", toy_id).name == f"{RUN_NAME[:-1]}2"
+    monkeypatch.setattr(Path, "iterdir", lambda _: iter(()))
+    assert claim_run_folder(tmp_path / "logs", toy_id).name == f"{RUN_NAME[:-1]}2"
 
 
 @pytest.mark.parametrize("algo", ["sacfd", "sac"])
-def test_rl_zoo3_evaluates_our_runs(
-    algo: str, toy_id: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_rl_zoo3_evaluates_our_runs(algo, toy_id, tmp_path, monkeypatch):
     enjoy, algos = pytest.importorskip("rl_zoo3.enjoy"), pytest.importorskip("rl_zoo3.utils").ALGOS
     monkeypatch.setitem(algos, algo, algorithm_classes()[algo])
     own: dict[str, Any] = {"policy": "MultiInputPolicy", "env_kwargs": {"obs_size": 48}, "expert_episodes": 2}
@@ -171,18 +149,22 @@ def test_rl_zoo3_evaluates_our_runs(
 # ---- Run folder of the command line
 
 
-def test_a_run_folder_is_complete(run_folder: Path, toy_id: str) -> None:
+def test_a_run_folder_is_complete(run_folder, toy_id):
     names = {path.name for path in run_folder.iterdir()}
     models = {"BulletArm-CloseLoopToy-v0.zip", "best_model.zip", "checkpoints"}
     reports = {"hyperparams.yml", "evaluations.npz", "training.csv", "learning_curve.png", "0.monitor.csv"}
     assert names == {*models, *reports, "BulletArm-CloseLoopToy-v0", "state.yml", ".lock"}
     content = yaml.safe_load((run_folder / "hyperparams.yml").read_text())
-    assert content["run"]["baseline"] == "equi_sacfd" and content[toy_id]["policy"] == "EquivariantPolicy"
+    about = content["run"]
+    assert (about["seed"], about["baseline"], about["preset"]) == (0, "equi_sacfd", "quick")
+    assert about["versions"]["torch"] == th.__version__ and "cores" in about["machine"]
+    assert content[toy_id]["policy"] == "EquivariantPolicy"
     assert content[toy_id]["env_kwargs"] == {"action_sequence": "pxyzr", "obs_size": 48}
+    loaded = load_run(run_folder)
+    assert (loaded.seed, loaded.experiment.hyperparams) == (0, content[toy_id])
+    how = loaded.status
+    assert how is not None and how.state is State.DONE and how.pid == os.getpid() and how.seconds > 0
     assert "is_success" in (run_folder / "0.monitor.csv").read_text().splitlines()[1]
-
-
-def test_evaluations_and_updates_are_logged(run_folder: Path) -> None:
     with np.load(run_folder / "evaluations.npz") as evaluations:
         assert evaluations["timesteps"].tolist() == [0, 6, 12]  # the first after pretraining
         assert evaluations["successes"].shape == (3, 2)
@@ -193,9 +175,7 @@ def test_evaluations_and_updates_are_logged(run_folder: Path) -> None:
         assert np.isfinite(log[name]).tolist() == [False, True, True]
 
 
-def test_evaluation_has_the_parameters_but_not_the_scenes_of_training(
-    train_tiny: Train, tmp_path: Path, toy_envs: list[Any]
-) -> None:
+def test_evaluation_has_the_parameters_but_not_the_scenes_of_training(train_tiny, tmp_path, toy_envs):
     assert train_tiny(tmp_path, "expert_episodes:0", "pretrain_steps:0", "--baseline", "sac") == 0
     _, *evaluation, training = sorted(toy_envs, key=lambda env: 0 in env.seeds)
     assert {env.obs_size for env in toy_envs} == {48}
@@ -212,9 +192,7 @@ class Terminal(io.StringIO):
         return True
 
 
-def test_progress_bars_are_shown_on_terminals(
-    train_tiny: Train, run_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, toy_id: str
-) -> None:
+def test_progress_bars_are_shown_on_terminals(train_tiny, run_folder, tmp_path, monkeypatch, toy_id):
     words = ["train", "--baseline", "sacfd", "--preset", "cpu", "--env", toy_id, "-f", str(tmp_path / "b")]
     words += ["-n", "2", "--eval-freq", "0", "--device", "cpu", "--env-kwargs", "obs_size:48"]
     words += ["-params", "expert_episodes:2", "pretrain_steps:2", "batch_size:4", "buffer_size:100"]
@@ -229,65 +207,47 @@ def test_progress_bars_are_shown_on_terminals(
     assert silent.getvalue() == ""
 
 
-@pytest.mark.parametrize(
-    ("baseline", "more"),
-    [
-        ("equi_sacfd_per_aug", ["buffer_size:400"]),
-        ("equi_tqcfd", []),
-        ("sacfd_state", []),
-        (
-            "ferm_sacfd",
-            ["augmentation:{rad: {size: 48}}", "contrastive_steps:2", "--env-kwargs", "obs_size:53"],
-        ),
-    ],
-)
-def test_a_closed_loop_task_trains(baseline: str, more: list[str], train_tiny: Train, tmp_path: Path) -> None:
-    words = ["--baseline", baseline, "--env", REACHING, "--eval-episodes", "1"]
-    assert train_tiny(tmp_path, *more, *words) == 0
-    [run] = tmp_path.glob("*/BulletArm-CloseLoopBlockReaching-v0_1")
-    assert main(["enjoy", str(run), "-n", "1", "--device", "cpu"]) == 0
+RAD = ["augmentation:{rad: {size: 48}}", "contrastive_steps:2", "--env-kwargs", "obs_size:53"]
 
 
 @pytest.mark.parametrize(
     ("baseline", "env_id", "more"),
     [
+        ("equi_sacfd_per_aug", REACHING, ["buffer_size:400"]),
+        ("equi_tqcfd", REACHING, []),
+        ("sacfd_state", REACHING, []),
+        ("ferm_sacfd", REACHING, RAD),
         ("dqn_cnn_asr", STACKING, []),
         ("adet_cnn_asr", STACKING, []),
         ("dqfd_equi_fcn", STACKING, ["--benchmark", "open_loop_2d"]),
         ("sdqfd_equi_deictic_asr", "BulletArm/OpenLoopRampBlockStacking-v0", []),
     ],
 )
-def test_an_open_loop_task_trains(
-    baseline: str, env_id: str, more: list[str], train_tiny: Train, tmp_path: Path
-) -> None:
-    size = ["-n", "6", "--eval-freq", "3", "--eval-episodes", "1", "--save-freq", "3"]
-    words = ["--baseline", baseline, "--env", env_id, "--env-kwargs", "num_objects:2", "obs_size:64"]
-    assert train_tiny(tmp_path, "expert_episodes:1", "n_envs:1", *size, *words, *more) == 0
+def test_a_baseline_trains(baseline, env_id, more, train_tiny, tmp_path):
+    words = ["--baseline", baseline, "--env", env_id, "--eval-episodes", "1"]
+    if "OpenLoop" in env_id:
+        words += ["-n", "6", "--eval-freq", "3", "--save-freq", "3", "--env-kwargs", "num_objects:2"]
+        words += ["obs_size:64", "-params", "expert_episodes:1", "n_envs:1"]
+    assert train_tiny(tmp_path, *more, *words) == 0
     [run] = tmp_path.glob("*/BulletArm-*_1")
-    with np.load(run / "evaluations.npz") as evaluations:
-        assert evaluations["timesteps"].tolist() == [0, 3, 6]
+    assert main(["enjoy", str(run), "-n", "1", "--device", "cpu"]) == 0
 
 
 @pytest.mark.parametrize(
     ("algo", "env_id", "parameters"),
     [
-        ("sac", "Pendulum-v1", ["learning_starts:4"]),
-        ("ppo", "TOY", ["n_steps:8", "batch_size:8"]),
-        ("td3", "TOY", ["buffer_size:50", "learning_starts:4", "batch_size:4"]),
+        ("sac", "Pendulum-v1", ["g:9.0", "-params", "learning_starts:4"]),
+        ("ppo", "TOY", ["obs_size:48", "-params", "n_steps:8", "batch_size:8"]),
+        ("td3", "TOY", ["obs_size:48", "-params", "buffer_size:50", "learning_starts:4", "batch_size:4"]),
     ],
 )
-def test_a_stock_algorithm_trains(
-    algo: str, env_id: str, parameters: list[str], toy_id: str, tmp_path: Path
-) -> None:
-    env_kwargs = "obs_size:48" if env_id == "TOY" else "g:9.0"
+def test_a_stock_algorithm_trains(algo, env_id, parameters, toy_id, tmp_path):
     words = ["--algo", algo, "--env", env_id.replace("TOY", toy_id), "-f", str(tmp_path), "-n", "8"]
-    options = ["--eval-freq", "-1", "--no-progress", "--device", "cpu", "--env-kwargs", env_kwargs]
-    assert main(["train", *words, *options, "-params", *parameters]) == 0
+    options = ["--eval-freq", "-1", "--no-progress", "--device", "cpu", "--env-kwargs"]
+    assert main(["train", *words, *options, *parameters]) == 0
 
 
-def test_enjoy_finds_the_run_of_an_algorithm(
-    toy_id: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_enjoy_finds_the_run_of_an_algorithm(toy_id, tmp_path, capsys):
     named = ["--algo", "tqc", "--env", toy_id, "-f", str(tmp_path), "--device", "cpu", "--no-progress"]
     size = ["-n", "2", "--eval-freq", "-1", "--preset", "cpu", "--env-kwargs", "obs_size:48", "--seed", "0"]
     params = ["expert_episodes:2", "pretrain_steps:0", "batch_size:4", "buffer_size:100", "n_envs:1"]
@@ -296,16 +256,6 @@ def test_enjoy_finds_the_run_of_an_algorithm(
     assert list(tmp_path.glob("tqcfd/*_1"))
     assert main(["enjoy", *named, "-n", "1"]) == 0
     assert main(["enjoy", *named, "--algo", "ppo"]) == 2
-
-
-def test_enjoy_repeats_itself(trained: Path, toy_id: str, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["enjoy", "--baseline", "equi_sacfd", "--env", toy_id, "-f", str(trained), "-n", "4"]
-    printed = []
-    for _ in range(2):
-        assert main([*words, "--device", "cpu"]) == 0
-        printed.append(capsys.readouterr().out.splitlines()[-1])
-    assert printed[0] == printed[1]
-    assert printed[0] in {f"success_rate={rate:.2f} episodes=4" for rate in (0, 0.25, 0.5, 0.75, 1)}
 
 
 # ---- Tasks of a user
@@ -332,19 +282,17 @@ def forget() -> None:
 
 
 @pytest.fixture
-def own_tasks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def own_tasks(tmp_path, monkeypatch):
     """The working directory, with a module of tasks in it."""
     (tmp_path / f"{MODULE}.py").write_text(textwrap.dedent(TASKS))
     monkeypatch.chdir(tmp_path)
     forget()
     yield tmp_path
     forget()
-    assert str(tmp_path) not in sys.path
+    sys.path.remove(str(tmp_path))
 
 
-def test_a_run_stores_the_package_of_its_task(
-    own_tasks: Path, train_tiny: Train, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_stores_the_package_of_its_task(own_tasks, train_tiny, capsys):
     named = ["--env", f"{MODULE}:{OWN_ID}"]
     assert train_tiny(own_tasks / "logs", *named, "--baseline", "sacfd", "--eval-episodes", "1") == 0
     [run] = (own_tasks / "logs" / "sacfd").iterdir()
@@ -362,7 +310,7 @@ def test_a_run_stores_the_package_of_its_task(
         assert main(command) == 0, capsys.readouterr().err
 
 
-def test_commands_import_tasks_and_rewards(own_tasks: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_commands_import_tasks_and_rewards(own_tasks, capsys):
     words = ["demos", "--env", REACHING, "-n", "1", "--env-kwargs", "obs_size:32"]
     assert main(["list", "--env", OWN_ID, "--gym-packages", MODULE]) == 0
     assert main([*words, f"reward:{MODULE}:steps"]) == 0

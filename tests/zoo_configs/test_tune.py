@@ -3,25 +3,20 @@
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import optuna
 import pytest
 import yaml
-from experiments import ALL
-from optuna.storages.journal import JournalFileBackend, JournalStorage
-from optuna.trial import FixedTrial, FrozenTrial
-from sweeps import HERE
+from optuna.trial import FixedTrial
+from sweeps import ALL, HERE, trials_of
 
 from zoo_configs.algorithms import algorithm_classes
 from zoo_configs.cli import main
 from zoo_configs.errors import CommandError
 from zoo_configs.experiments.config import ExperimentConfig, merge, resolve
 from zoo_configs.files import parse_yaml
-from zoo_configs.tuning import study as study_module
-from zoo_configs.tuning.report import IMPORTANCES_TITLE
 from zoo_configs.tuning.space import (
     BASELINE,
     Parameter,
@@ -31,6 +26,7 @@ from zoo_configs.tuning.space import (
     parse_space,
     sample_params,
 )
+from zoo_configs.tuning.study import ERROR
 
 PICKING = "BulletArm/CloseLoopBlockPicking-v0"
 SPACE = "learning_rate: {low: 1.0e-4, high: 1.0e-2, log: true}\nbatch_size: {choices: [4, 8]}\n"
@@ -38,7 +34,6 @@ NAME = "sacfd_CloseLoopToy"
 EXPERIMENT = ["--baseline", "sacfd", "--preset", "quick", "--env-kwargs", "obs_size:48"]
 SIZE = ["-n", "6", "--eval-episodes", "1", "--n-evaluations", "2", "--n-startup-trials", "2"]
 TINY = ["-params", "expert_episodes:2", "pretrain_steps:1", "batch_size:4", "buffer_size:100", "n_envs:1"]
-Tune = Callable[..., int]
 # Registers, in a process of its own, a toy that stops once there is a checkpoint.
 HANGING = f"""
 import sys, time
@@ -57,7 +52,7 @@ gymnasium.register(toy_env.TOY_ID, Hanging)
 
 
 @pytest.fixture
-def tune(toy_id: str, tmp_path: Path) -> Tune:
+def tune(toy_id, tmp_path):
     """Searches two hyperparameters of a tiny experiment: ``tune(*more)`` returns the exit code."""
     (space := tmp_path / "space.yml").write_text(SPACE)
 
@@ -68,57 +63,43 @@ def tune(toy_id: str, tmp_path: Path) -> Tune:
     return run
 
 
-def trials(folder: Path, name: str = NAME) -> list[FrozenTrial]:
-    storage = JournalStorage(JournalFileBackend(str(folder / "studies" / name / "journal.log")))
-    return optuna.load_study(study_name=name, storage=storage).trials
-
-
 def states(folder: Path) -> list[str]:
-    return [trial.state.name for trial in trials(folder)]
+    return [trial.state.name for trial in trials_of(folder, NAME)]
 
 
 # ---- Studies
 
 
-def test_a_study_begins_with_the_baseline_and_ends_with_the_best(
-    tune: Tune, toy_id: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert tune("--n-trials", "3") == 0
-    done, printed = trials(tmp_path), capsys.readouterr().out
+def test_a_study_begins_with_the_baseline_and_ends_with_the_best(tune, toy_id, tmp_path, capsys):
+    assert tune("--n-trials", "1") == 0
+    assert "trial" not in capsys.readouterr().err
+    assert tune("--n-trials", "3", "-P") == 0
+    done, printed = trials_of(tmp_path, NAME), capsys.readouterr()
     folder = tmp_path / "studies" / NAME
     assert done[0].params == {"learning_rate": 0.001, "batch_size": "4"}
     assert len(done) == 3 and all(0 <= trial.value <= 1 for trial in done if trial.value is not None)
     for picture in ("history", "importances", "parallel_coordinates"):
         assert (folder / f"{picture}.png").stat().st_size > 5000
-    assert "PED-ANOVA" in IMPORTANCES_TITLE
+    assert "1/3" in printed.err and "3/3" in printed.err and "0/3" not in printed.err
+    assert "trial 1: " in printed.out and f"optuna-dashboard {folder / 'journal.log'}" in printed.out
     best = yaml.safe_load((folder / "best.yml").read_text())[toy_id]
     assert best["n_timesteps"] == 6 and best["learning_rate"].startswith("lin_")
-    assert f"optuna-dashboard {folder / 'journal.log'}" in printed
     command = ["train", "--algo", "sacfd", "--env", toy_id, "--conf-file", str(folder / "best.yml")]
     assert main([*command, "-f", str(tmp_path / "logs"), "--no-progress", "--eval-freq", "0"]) == 0
 
 
-def test_a_bar_counts_the_trials_of_all_processes(tune: Tune, capsys: pytest.CaptureFixture[str]) -> None:
-    assert tune("--n-trials", "1") == 0
-    assert "trial" not in capsys.readouterr().err
-    assert tune("--n-trials", "2", "-P") == 0
-    printed = capsys.readouterr()
-    assert "1/2" in printed.err and "2/2" in printed.err and "0/2" not in printed.err
-    assert "trial 1: " in printed.out
-
-
-def test_a_study_of_a_seed_repeats_itself(tune: Tune, tmp_path: Path) -> None:
+def test_a_study_of_a_seed_repeats_itself(tune, tmp_path):
     """Also if it is stopped in between."""
     assert tune("--study-name", "whole", "--n-trials", "4") == 0
     for number in ("2", "4", "4"):
         assert tune("--study-name", "parts", "--n-trials", number) == 0
-    whole, parts = ([(t.params, t.value) for t in trials(tmp_path, name)] for name in ("whole", "parts"))
+    whole, parts = ([(t.params, t.value) for t in trials_of(tmp_path, name)] for name in ("whole", "parts"))
     assert whole == parts and len({str(params) for params, _ in whole}) == 4
     assert tune("--study-name", "other", "--n-trials", "2", "--seed", "1") == 0
-    assert trials(tmp_path, "other")[1].params != whole[1][0]
+    assert trials_of(tmp_path, "other")[1].params != whole[1][0]
 
 
-def test_a_trial_of_a_killed_process_is_continued(tune: Tune, toy_id: str, tmp_path: Path) -> None:
+def test_a_trial_of_a_killed_process_is_continued(tune, toy_id, tmp_path):
     (tmp_path / "hanging.py").write_text(HANGING)
     words = ["tune", *EXPERIMENT, "--env", f"hanging:{toy_id}", "-f", str(tmp_path), "--num-threads", "1"]
     words += ["--space", str(tmp_path / "space.yml"), *SIZE, "--n-trials", "2", *TINY]
@@ -133,64 +114,47 @@ def test_a_trial_of_a_killed_process_is_continued(tune: Tune, toy_id: str, tmp_p
             worker.kill()
     assert states(tmp_path) == ["RUNNING"]
     assert tune("--n-trials", "2") == tune("--n-trials", "2", "--study-name", "whole") == 0
-    killed, *resumed = sorted(trials(tmp_path), key=lambda trial: trial.state.name != "FAIL")
+    killed, *resumed = sorted(trials_of(tmp_path, NAME), key=lambda trial: trial.state.name != "FAIL")
     assert killed.number == 0 and resumed[0].user_attrs["repeats"] == [0]
-    whole = [(trial.params, trial.value) for trial in trials(tmp_path, "whole")]
+    whole = [(trial.params, trial.value) for trial in trials_of(tmp_path, "whole")]
     assert [(trial.params, trial.value) for trial in resumed] == whole
     folders = {path.name for path in (tmp_path / "studies" / NAME).glob("trial_*") if path.is_dir()}
     assert folders == {"trial_0000", "trial_0002"}
 
 
-def test_a_study_without_a_complete_trial_fails(
-    tune: Tune, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_study_without_a_complete_trial_fails(tune, tmp_path, capsys):
     (tmp_path / "space.yml").write_text("tau: {choices: [x, y]}")
     assert tune("--n-trials", "2", "--pruner", "none") == 0  # the baseline
     assert states(tmp_path) == ["COMPLETE", "FAIL"]
-    error = trials(tmp_path)[1].user_attrs[study_module.ERROR]
-    assert "tau" in error
+    assert "tau" in trials_of(tmp_path, NAME)[1].user_attrs[ERROR]
     assert tune("--n-trials", "1", "--study-name", "all", "-params", "tau:x") == 2
     assert "tau" in capsys.readouterr().err
 
 
-def test_a_trial_that_falls_behind_is_pruned(
-    tune: Tune, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_trial_that_falls_behind_is_pruned(tune, tmp_path, monkeypatch):
     monkeypatch.setattr(optuna.Trial, "should_prune", lambda trial: trial.number == 1)
     assert tune("--n-trials", "2") == 0
     assert states(tmp_path) == ["COMPLETE", "PRUNED"]
-    assert trials(tmp_path)[1].last_step == 0  # stopped at its first evaluation
+    assert trials_of(tmp_path, NAME)[1].last_step == 0  # stopped at its first evaluation
 
 
-@pytest.mark.parametrize(
-    ("words", "text"),
-    [
-        (["--seed", "5"], "seed"),
-        (["--eval-episodes", "3"], "options"),
-        (["--storage", "magic://nowhere"], "magic://nowhere"),
-    ],
-)
-def test_another_study_is_refused(
-    words: list[str], text: str, tune: Tune, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert tune("--n-trials", "1") == 0
+def test_another_study_is_refused(tune, tmp_path, capsys):
+    database = ["--storage", f"sqlite:///{tmp_path / 'study.db'}"]
+    assert tune("--n-trials", "1", *database) == 0
     capsys.readouterr()
-    assert tune(*words) == 2
-    [line] = capsys.readouterr().err.splitlines()
-    assert text in line
-
-
-def test_a_study_stays_in_its_folder(tune: Tune, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    database = f"sqlite:///{tmp_path / 'study.db'}"
-    assert tune("--n-trials", "1", "--storage", database) == 0
-    assert tune("--n-trials", "2", "--storage", database, "-f", str(tmp_path / "elsewhere")) == 2
-    assert "folder" in capsys.readouterr().err
+    for words, text in (
+        ([*database, "--seed", "5"], "seed"),
+        ([*database, "--eval-episodes", "3"], "options"),
+        ([*database, "-f", str(tmp_path / "elsewhere")], "folder"),
+        (["--storage", "magic://nowhere"], "magic://nowhere"),
+    ):
+        assert tune(*words) == 2
+        [line] = capsys.readouterr().err.splitlines()
+        assert text in line
 
 
 @pytest.mark.parametrize("begun", ["trial", "attribute", "direction"])
-def test_a_study_of_another_program_is_refused_unchanged(
-    begun: str, tune: Tune, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_study_of_another_program_is_refused_unchanged(begun, tune, tmp_path, capsys):
     database = f"sqlite:///{tmp_path / 'study.db'}"
     direction = "minimize" if begun == "direction" else "maximize"
     foreign = optuna.create_study(storage=database, study_name="mine", direction=direction)
@@ -205,13 +169,12 @@ def test_a_study_of_another_program_is_refused_unchanged(
     assert (again.trials, again.user_attrs) == before
 
 
-def test_the_second_trial_differs_from_the_first_in_every_parameter(tune: Tune, tmp_path: Path) -> None:
+def test_the_second_trial_differs_from_the_first_in_every_parameter(tune, tmp_path):
     """Also in one that the baseline has no value of, which the first trial leaves out."""
-    (tmp_path / "space.yml").write_text(
-        "tau: {low: 0.1, high: 0.2}\npolicy_kwargs.n_critics: {low: 1, high: 9}"
-    )
+    content = "tau: {low: 0.1, high: 0.2}\npolicy_kwargs.n_critics: {low: 1, high: 9}"
+    (tmp_path / "space.yml").write_text(content)
     assert tune("--n-trials", "3") == 0
-    first, second, third = (trial.params for trial in trials(tmp_path))
+    first, second, third = (trial.params for trial in trials_of(tmp_path, NAME))
     assert first == {"tau": 0.01}
     assert second.keys() == third.keys() == {"tau", "policy_kwargs.n_critics"} and second != third
 
@@ -219,24 +182,19 @@ def test_the_second_trial_differs_from_the_first_in_every_parameter(tune: Tune, 
 # ---- Search spaces
 
 
-def fitted(experiment: ExperimentConfig, given: dict[str, Any] | None = None) -> tuple[Parameter, ...]:
-    """The shipped space of an experiment."""
-    return load_space(experiment, given or {})
-
-
 @pytest.mark.parametrize(
     "algo", [name for name in algorithm_classes() if name not in ("ars", "dqn", "qrdqn", "ppo_lstm")]
 )
-def test_an_algorithm_has_the_hyperparameters_of_its_space(algo: str) -> None:
+def test_an_algorithm_has_the_hyperparameters_of_its_space(algo):
     space = load_space(ExperimentConfig(algo, "Pendulum-v1", {}), {})
     assert len({parameter.name for parameter in space}) == len(space) >= 4
 
 
-def test_the_first_trial_of_every_experiment_is_the_baseline() -> None:
+def test_the_first_trial_of_every_experiment_is_the_baseline():
     """The space contains its values, and nothing that it does not use."""
     for names in ALL:
         experiment = resolve(*names)
-        space = fitted(experiment)
+        space = load_space(experiment, {})
         first = first_values(space, experiment)
         assert first.keys() == {parameter.name for parameter in space}, names
         trial: Any = FixedTrial(first)
@@ -246,24 +204,29 @@ def test_the_first_trial_of_every_experiment_is_the_baseline() -> None:
         assert imitates == ("bc_weight" in first) == ("bc_limit" in first), names
 
 
-@pytest.mark.parametrize("baseline", ["equi_sacfd", "ferm_sacfd", "tqcfd"])
-def test_sampled_values_replace_those_of_the_baseline(baseline: str) -> None:
-    experiment = resolve(baseline, "cpu", PICKING)
-    space = fitted(experiment)
+def test_sampled_values_replace_those_of_the_baseline():
+    """Others of the same mapping stay, and a schedule stays a schedule."""
+    experiment = resolve("equi_sacfd", "cpu", PICKING)
+    space = load_space(experiment, {})
     values = first_values(space, experiment)
     assert values.keys() >= {"learning_rate", "gamma", "batch_size", "tau", "bc_weight", "n_steps"}
-    sampled = sample_params(experiment, space, FixedTrial(values))  # type: ignore[arg-type]
-    assert sampled.pop("learning_rate") == "lin_0.001"
+    space = (*space, Parameter("policy_kwargs.net_arch.qf", choices=([32], [64, 64])))
+    trial: Any = FixedTrial({**values, "policy_kwargs.net_arch.qf": "[64, 64]"})
+    sampled = sample_params(experiment, space, trial)
+    hyperparams = merge(experiment.hyperparams, sampled)
+    assert hyperparams["policy_kwargs"]["net_arch"] == {"pi": [32], "qf": [64, 64]}
+    assert hyperparams["policy_kwargs"]["features_extractor_kwargs"]["n"] == 4
+    assert sampled.pop("learning_rate") == "lin_0.001" and sampled.pop("policy_kwargs")
     assert all(value == baseline_value(name, experiment) for name, value in sampled.items())
 
 
-def test_values_of_the_command_line_are_not_searched() -> None:
+def test_values_of_the_command_line_are_not_searched():
     given = {"pretrain_steps": 4, "n_steps": 2}
     experiment = resolve("sacfd", "quick", PICKING, given)
-    space = fitted(experiment, given)
+    space = load_space(experiment, given)
     assert {"pretrain_steps", "n_steps"}.isdisjoint(parameter.name for parameter in space)
     with pytest.raises(CommandError, match="search space"):
-        fitted(experiment, dict.fromkeys((parameter.name for parameter in space), 0.5) | given)
+        load_space(experiment, dict.fromkeys((parameter.name for parameter in space), 0.5) | given)
 
 
 @pytest.mark.parametrize(
@@ -276,9 +239,7 @@ def test_values_of_the_command_line_are_not_searched() -> None:
         ("{tau: {low: 1e-2, high: 1e-1}}", 0.005, (0.005, ())),
     ],
 )
-def test_a_space_is_extended_by_the_value_of_the_command_line(
-    space: str, value: Any, stored: tuple[Any, Any], tmp_path: Path
-) -> None:
+def test_a_space_is_extended_by_the_value_of_the_command_line(space, value, stored, tmp_path):
     [name] = parse_yaml(space)
     (file := tmp_path / "space.yml").write_text(space)
     experiment = resolve("sacfd", "quick", PICKING, {name: value})
@@ -287,39 +248,18 @@ def test_a_space_is_extended_by_the_value_of_the_command_line(
     assert first_values((parameter,), experiment) == {name: stored[0]}
 
 
-@pytest.mark.parametrize(
-    ("name", "integer"), [("batch_size", True), ("n_envs", True), ("gamma", False), ("bc_weight", False)]
-)
-def test_whole_number_bounds_mean_whole_numbers_except_for_floats(
-    name: str, integer: bool, tmp_path: Path
-) -> None:
-    (file := tmp_path / "space.yml").write_text(f"{name}: {{low: 1, high: 9}}")
-    [parameter] = load_space(resolve("sacfd", "quick", PICKING, {"bc_weight": 3}), {}, file)
-    study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=0))
-    assert isinstance(parameter.suggest(study.ask()), int) == integer
+def test_whole_number_bounds_mean_whole_numbers_except_for_floats(tmp_path):
+    names = ("batch_size", "n_envs", "gamma", "bc_weight")
+    (file := tmp_path / "space.yml").write_text(yaml.safe_dump({key: {"low": 1, "high": 9} for key in names}))
+    space = load_space(resolve("sacfd", "quick", PICKING, {"bc_weight": 3}), {}, file)
+    trial = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=0)).ask()
+    whole = {parameter.name: isinstance(parameter.suggest(trial), int) for parameter in space}
+    assert whole == {"batch_size": True, "n_envs": True, "gamma": False, "bc_weight": False}
 
 
-def test_a_nested_value_keeps_the_others() -> None:
-    experiment = resolve("equi_sacfd", "cpu", PICKING)
-    space = (Parameter("policy_kwargs.net_arch.qf", choices=([32], [64, 64])), Parameter("tau", 0.001, 0.1))
-    trial: Any = FixedTrial({"policy_kwargs.net_arch.qf": "[64, 64]", "tau": 0.02})
-    hyperparams = merge(experiment.hyperparams, sample_params(experiment, space, trial))
-    assert hyperparams["policy_kwargs"]["net_arch"] == {"pi": [32], "qf": [64, 64]}
-    assert hyperparams["policy_kwargs"]["features_extractor_kwargs"]["n"] == 4
-
-
-@pytest.mark.parametrize(
-    "space",
-    [
-        "[]",
-        "{}",
-        "{gamma: 0.9}",
-        "{gamma: {lo: 0.1, high: 1}}",
-        "{gamma: {low: 1, high: 0}}",
-        "{gamma: {low: 0, high: 1, log: true}}",
-        "{gamma: {choices: [], low: 1}}",
-    ],
-)
-def test_an_invalid_space_is_refused(space: str) -> None:
-    with pytest.raises(CommandError, match="mine"):
-        parse_space("mine", yaml.safe_load(space))
+def test_an_invalid_space_is_refused():
+    bounds = ("{lo: 0.1, high: 1}", "{low: 1, high: 0}", "{low: 0, high: 1, log: true}")
+    choices = ("0.9", "{choices: [], low: 1}")
+    for space in ("[]", "{}", *(f"{{gamma: {value}}}" for value in (*bounds, *choices))):
+        with pytest.raises(CommandError, match="mine"):
+            parse_space("mine", yaml.safe_load(space))

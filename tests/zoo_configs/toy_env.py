@@ -26,11 +26,11 @@ class ToyEnv(gym.Env[dict[str, Any], np.ndarray]):
         if obs_size < 48:
             raise ValueError(f"obs_size must be at least 48, got {obs_size}")
         self.obs_size, self.action_sequence, self.render_mode = obs_size, action_sequence, render_mode
+        self.x, self.size = action_sequence.index("x"), len(action_sequence)
         image = spaces.Box(0, 0.4, (1, obs_size, obs_size), np.float32)
-        self.observation_space = spaces.Dict(
-            {"heightmap": image, "holding": spaces.Box(0, 1, (1,), np.float32)}
-        )
-        self.action_space = spaces.Box(-1, 1, (len(action_sequence),), np.float32)
+        holding = spaces.Box(0, 1, (1,), np.float32)
+        self.observation_space = spaces.Dict({"heightmap": image, "holding": holding})
+        self.action_space = spaces.Box(-1, 1, (self.size,), np.float32)
         self.seeds: list[int | None] = []
         ToyEnv.made.append(self)
 
@@ -42,16 +42,14 @@ class ToyEnv(gym.Env[dict[str, Any], np.ndarray]):
         return self._observe(), self._info()
 
     def step(self, action: np.ndarray) -> Any:
-        x = self.action_sequence.index("x")
-        self.offset = self.offset - STEP * np.asarray(action)[x : x + 2]
+        self.offset = self.offset - STEP * np.asarray(action)[self.x : self.x + 2]
         self.steps += 1
         success = self._info()["is_success"]
         return self._observe(), float(success), success, self.steps >= MAX_STEPS, self._info()
 
     def expert_action(self) -> np.ndarray:
-        action = np.zeros(len(self.action_sequence), np.float32)
-        x = self.action_sequence.index("x")
-        action[x : x + 2] = np.clip(self.offset / STEP, -1, 1)
+        action = np.zeros(self.size, np.float32)
+        action[self.x : self.x + 2] = np.clip(self.offset / STEP, -1, 1)
         return action
 
     def get_state(self) -> Any:

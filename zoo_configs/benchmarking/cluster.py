@@ -13,13 +13,12 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from zoo_configs.benchmarking.plan import Job
 from zoo_configs.benchmarking.process import GRACE, POLL, ExitCode, JobProcess, check_storage, stop
 from zoo_configs.environments import register_environments
 from zoo_configs.errors import CommandError, reason
 from zoo_configs.files import check_writable
 from zoo_configs.provenance import versions
-from zoo_configs.training.runs import CHECKPOINT_FOLDER
+from zoo_configs.training.runs import CHECKPOINT_FOLDER, Run
 from zoo_configs.training.state import State, set_status
 
 GIGABYTE = 1e9
@@ -149,7 +148,7 @@ def _check_shared(folder: Path, token: str) -> None:
         time.sleep(POLL)
 
 
-def train(job: Job, folder: Path, token: str) -> int:
+def train(job: Run, folder: Path, token: str) -> int:
     """
     Train one run on a machine of the cluster and return the exit code.
 
@@ -159,9 +158,9 @@ def train(job: Job, folder: Path, token: str) -> int:
     :raises CommandError: if the machine cannot read the folder
     """
     _check_shared(folder, token)
-    if _starts(folder / job.name, token) > MAX_STARTS:
+    if _starts(folder / job.folder, token) > MAX_STARTS:
         error = f"lost {MAX_STARTS} times at the same checkpoint. It may need more memory"
-        set_status(folder / job.name, State.FAILED, error)
+        set_status(folder / job.folder, State.FAILED, error)
         return int(ExitCode.FAILED)
     visible = {name: os.environ[name] for name in ("CUDA_VISIBLE_DEVICES",) if name in os.environ}
     process = JobProcess(job, folder, visible)
@@ -184,7 +183,7 @@ def _starts(run_folder: Path, token: str) -> int:
 
 
 def run_on_ray(
-    jobs: Sequence[Job],
+    jobs: Sequence[Run],
     folder: Path,
     resources: Mapping[str, Resources],
     token: str,
@@ -202,9 +201,10 @@ def run_on_ray(
     import ray
 
     remote = ray.remote(max_retries=-1, retry_exceptions=False)(train)
-    running = {
-        remote.options(**resources[job.name], name=job.name).remote(job, folder, token): job for job in jobs
-    }
+    running = {}
+    for job in jobs:
+        name = str(job.folder)
+        running[remote.options(**resources[name], name=name).remote(job, folder, token)] = job
     try:
         while running:
             ended, _ = ray.wait(list(running), num_returns=1, timeout=POLL)
@@ -218,10 +218,10 @@ def run_on_ray(
             ray.wait(list(running), num_returns=len(running), timeout=GRACE)
 
 
-def _exit_code(reference: Any, job: Job) -> ExitCode:
+def _exit_code(reference: Any, job: Run) -> ExitCode:
     import ray
 
     try:
         return ExitCode(ray.get(reference))
     except ray.exceptions.RayError as error:
-        raise CommandError(f"{job.name}: {_cause(error)}") from error
+        raise CommandError(f"{job.folder}: {_cause(error)}") from error

@@ -16,7 +16,7 @@ from zoo_configs.experiments.families import family_of, task_name
 from zoo_configs.experiments.flags import default_preset
 from zoo_configs.files import read_yaml
 from zoo_configs.training.options import TrainingOptions
-from zoo_configs.training.runs import SEED_PREFIX
+from zoo_configs.training.runs import SEED_PREFIX, Run
 
 SEEDS = 4  # paper: the captions of its learning curves
 PATTERN = "*?["
@@ -49,38 +49,6 @@ class Plan:
     options: Mapping[str, Any] = field(default_factory=dict)
     hyperparams: Mapping[str, Any] = field(default_factory=dict)
     variants: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: {"": {}})
-
-
-@dataclass(frozen=True)
-class Job:
-    """
-    One run of a benchmark.
-
-    :param experiment: The experiment
-    :param seed: Seed of model and environments
-    :param options: Options of the training
-    :param gym_packages: Packages that register the environment, in addition to ours
-    :param device: PyTorch device
-    :param variant: Name of the variant, empty without variants
-    """
-
-    experiment: ExperimentConfig
-    seed: int
-    options: TrainingOptions
-    gym_packages: tuple[str, ...] = ()
-    device: str = "auto"
-    variant: str = ""
-
-    @property
-    def experiment_name(self) -> str:
-        """Task, baseline and variant."""
-        variant = f"-{self.variant}" if self.variant else ""
-        return f"{task_name(self.experiment.env_id)}/{self.experiment.label}{variant}"
-
-    @property
-    def name(self) -> str:
-        """Folder of the run within that of the benchmark: task, baseline, seed."""
-        return f"{self.experiment_name}/{SEED_PREFIX}{self.seed}"
 
 
 def read_plan(name: str) -> Plan:
@@ -123,9 +91,11 @@ def parse_plan(where: str, content: Any) -> Plan:
 
 def build_jobs(
     plan: Plan, gym_packages: Sequence[str] = (), device: str = "auto", num_threads: int = 1
-) -> list[Job]:
+) -> list[Run]:
     """
     Return the runs of a plan in the order in which they start.
+
+    Their folders, ``<task>/<baseline>/seed_<n>``, are relative to that of the benchmark.
 
     Runs that follow each other have different tasks or seeds, so that each set of demonstrations is collected
     only once.
@@ -139,19 +109,27 @@ def build_jobs(
     tasks = dict.fromkeys(env_id for wanted in plan.tasks for env_id in _tasks(wanted, plan.benchmark))
     preset = plan.preset or default_preset(device)
     experiments = [
-        (variant, resolve(label, preset, task, merge(plan.hyperparams, values), plan.benchmark))
+        (
+            f"{label}-{variant}" if variant else label,
+            resolve(label, preset, task, merge(plan.hyperparams, values), plan.benchmark),
+        )
         for task in tasks
         for label in _baselines(plan, task)
         for variant, values in plan.variants.items()
     ]
     options = {"num_threads": num_threads, **plan.options}
+    packages = tuple(gym_packages)
     return [
-        Job(experiment, seed, TrainingOptions.of(experiment, options), tuple(gym_packages), device, variant)
-        for label in dict.fromkeys((variant, experiment.label) for variant, experiment in experiments)
+        Run(_folder(one, name, seed), one, seed, device, TrainingOptions.of(one, options), packages)
+        for wanted in dict.fromkeys(name for name, _ in experiments)
         for seed in _seeds(plan.seeds)
-        for variant, experiment in experiments
-        if (variant, experiment.label) == label
+        for name, one in experiments
+        if name == wanted
     ]
+
+
+def _folder(experiment: ExperimentConfig, name: str, seed: int) -> Path:
+    return Path(task_name(experiment.env_id), name, f"{SEED_PREFIX}{seed}")
 
 
 def _tasks(wanted: str, benchmark: str | None) -> list[str]:

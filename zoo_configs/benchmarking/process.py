@@ -15,8 +15,8 @@ from multiprocessing.connection import wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
-from zoo_configs.benchmarking.plan import Job
 from zoo_configs.errors import CommandError, causes, reason
+from zoo_configs.training.runs import Run
 from zoo_configs.training.state import State, is_training, run_status, set_status
 
 LOG_FILE = "log.txt"
@@ -25,12 +25,7 @@ LOCK_SECONDS, LOCK_POLL = 180.0, 0.2
 STORAGE_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.ESTALE)
 """Errors that affect all runs."""
 LEAST_FREE = 1 << 20  # bytes
-PRELOADED = (
-    "zoo_configs.training.train",
-    "zoo_configs.environments",
-    "sb3_extensions.sacfd",
-    "torch._dynamo",
-)
+PRELOADED = ["zoo_configs.training.train", "sb3_extensions.sacfd", "torch._dynamo"]
 """Modules that the fork server imports once for all processes."""
 POLL = 0.5  # seconds
 GRACE = 60.0  # seconds in which interrupted runs save their state
@@ -56,13 +51,13 @@ class JobProcess:
     :param environ: Environment variables
     """
 
-    def __init__(self, job: Job, folder: Path, environ: Mapping[str, str] | None = None) -> None:
+    def __init__(self, job: Run, folder: Path, environ: Mapping[str, str] | None = None) -> None:
         # The fork server has imported PyTorch, but has neither threads nor a device.
         context = multiprocessing.get_context("forkserver")
-        context.set_forkserver_preload(list(PRELOADED))
-        self.run_folder = folder / job.name
+        context.set_forkserver_preload(PRELOADED)
+        self.run_folder = folder / job.folder
         arguments = (job, folder, dict(environ or {}))
-        self._process: BaseProcess = context.Process(target=_work, args=arguments, name=job.name)
+        self._process: BaseProcess = context.Process(target=_work, args=arguments, name=str(job.folder))
         self._process.start()
         self.sentinel = self._process.sentinel
 
@@ -95,7 +90,7 @@ class JobProcess:
         self._process.join()
 
 
-def run_here(jobs: Sequence[Job], folder: Path, n_jobs: int, look: Callable[[], None]) -> None:
+def run_here(jobs: Sequence[Run], folder: Path, n_jobs: int, look: Callable[[], None]) -> None:
     """
     Train runs in processes of this machine, in the order of ``jobs``. A failed run does not stop the others.
 
@@ -138,19 +133,19 @@ def stop(running: Sequence[JobProcess]) -> None:
             process.kill()
 
 
-def _work(job: Job, folder: Path, environ: Mapping[str, str]) -> None:
+def _work(job: Run, folder: Path, environ: Mapping[str, str]) -> None:
     """Run the process."""
     os.setsid()
     os.environ.update(environ)
     signal.signal(signal.SIGINT, signal.default_int_handler)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
-        _train(job, folder / job.name)
+        _train(job, folder / job.folder)
     except KeyboardInterrupt:
         sys.exit(ExitCode.INTERRUPTED)
     except Exception as error:  # any error of the run
         traceback.print_exc()
-        sys.exit(_record_failure(folder / job.name, error))
+        sys.exit(_record_failure(folder / job.folder, error))
 
 
 def _end_with_parent() -> None:
@@ -160,7 +155,7 @@ def _end_with_parent() -> None:
     os.killpg(os.getpgrp(), signal.SIGKILL)
 
 
-def _train(job: Job, run_folder: Path) -> None:
+def _train(job: Run, run_folder: Path) -> None:
     from zoo_configs.training.train import train_experiment
 
     run_folder.mkdir(parents=True, exist_ok=True)

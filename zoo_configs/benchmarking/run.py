@@ -1,30 +1,38 @@
-"""Checks, size and training of the runs of a benchmark."""
+"""Checks, size, training and status of the runs of a benchmark."""
 
+import contextlib
 import json
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import closing
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from tqdm import tqdm
+
 from zoo_configs.algorithms import algorithm_classes, class_from_path
-from zoo_configs.benchmarking.plan import Job
-from zoo_configs.benchmarking.status import Overview, shown
+from zoo_configs.arguments import hides_progress
 from zoo_configs.environments import make_env, try_env
 from zoo_configs.errors import CommandError, refused
 from zoo_configs.experiments.validation import check_experiment
 from zoo_configs.files import check_writable
-from zoo_configs.training.runs import RESOLVED_FILE, Run, load_run
-from zoo_configs.training.state import LOCK_FILE, State, run_lock, set_status
+from zoo_configs.training.runs import EVALUATIONS_FILE, RESOLVED_FILE, Run, load_run
+from zoo_configs.training.state import LOCK_FILE, State, run_lock, run_status, set_status
 from zoo_configs.training.train import check_same
 
-Runner = Callable[[Sequence[Job], Callable[[], None]], None]
+Runner = Callable[[Sequence[Run], Callable[[], None]], None]
 """Function that trains runs and regularly calls another function."""
 GIGABYTE = 1e9
 PROCESS_GIGABYTES = 1.0
 """Memory of a process without its replay buffer."""
 CHECKPOINTS = 3
 """Number of checkpoints on disk: two, and the one that is being written."""
+INTERVAL = 2.0  # seconds between two readings of the folders
+WAITING = "waiting"
+STATES = (State.DONE.value, State.RUNNING.value, WAITING, State.FAILED.value)
+"""States of a run of a benchmark. A killed run waits to be resumed."""
+ENDED = (State.DONE.value, State.FAILED.value)
 
 
 class Size(NamedTuple):
@@ -34,13 +42,13 @@ class Size(NamedTuple):
     disk: float
 
 
-def size_of(job: Job) -> Size:
+def size_of(job: Run) -> Size:
     """Return the size of a run, which depends mainly on its replay buffer."""
     buffer = _buffer_gigabytes(job)
     return Size(PROCESS_GIGABYTES + buffer, CHECKPOINTS * buffer if job.options.save_freq > 0 else 0.0)
 
 
-def _buffer_gigabytes(job: Job) -> float:
+def _buffer_gigabytes(job: Run) -> float:
     """Return the size of the part of the replay buffer that the run fills."""
     from sb3_extensions.replay.buffer import ExpertReplayBuffer
     from zoo_configs.training.objects import import_classes
@@ -59,19 +67,18 @@ def _buffer_gigabytes(job: Job) -> float:
         longest = int(getattr(getattr(env.unwrapped, "config", None), "max_steps", 0))
         # The buffer allocates no memory before the first transition.
         buffer = cls(capacity, *spaces, "cpu", n_envs=n_envs, gamma=0.99, seed=0, **kwargs)
-    steps = job.options.n_timesteps if job.options.n_timesteps > 0 else int(hyperparams["n_timesteps"])
-    steps += int(hyperparams.get("expert_episodes", 0)) * longest
+    steps = job.n_timesteps + int(hyperparams.get("expert_episodes", 0)) * longest
     return float(buffer.table.nbytes) * min(1.0, steps / capacity) / GIGABYTE
 
 
-def check_jobs(jobs: Sequence[Job], folder: Path) -> None:
+def check_jobs(jobs: Sequence[Run], folder: Path) -> None:
     """
     Check names and values of each experiment, each environment, and the folder of the benchmark.
 
     :raises CommandError: if a run cannot be trained, or the folder contains other runs
     """
     tried = set()
-    for job in {job.experiment_name: job for job in jobs}.values():
+    for job in {job.folder.parent: job for job in jobs}.values():
         check_experiment(job.experiment)
         env_kwargs = job.experiment.hyperparams.get("env_kwargs", {})
         key = job.experiment.env_id, json.dumps(env_kwargs, sort_keys=True, default=str)
@@ -82,13 +89,93 @@ def check_jobs(jobs: Sequence[Job], folder: Path) -> None:
         raise CommandError(f"--log-folder must be a folder, got the file {folder}")
     check_writable(folder / LOCK_FILE, "--log-folder")
     for job in jobs:
-        place = folder / job.name
+        place = folder / job.folder
         if (place / RESOLVED_FILE).is_file():
-            check_same(load_run(place), Run(place, job.experiment, job.seed))
+            check_same(load_run(place), job)
+
+
+class Entry(NamedTuple):
+    """State of one run, its latest success, and its machine or error."""
+
+    name: str
+    state: str = WAITING
+    success: str = ""
+    detail: str = ""
+
+
+class Overview:
+    """
+    States of all runs.
+
+    :param jobs: The runs
+    :param folder: Folder of the benchmark
+    """
+
+    def __init__(self, jobs: Sequence[Run], folder: Path) -> None:
+        self.folder = folder
+        self.entries = {str(job.folder): Entry(str(job.folder)) for job in jobs}
+
+    def update(self) -> list[Entry]:
+        """Read the folders of all runs that were not done, and return the entries that have changed."""
+        before = dict(self.entries)
+        for name, entry in before.items():
+            if entry.state != State.DONE.value:
+                self.entries[name] = _read_entry(self.folder, name)
+        return [entry for name, entry in self.entries.items() if entry != before[name]]
+
+    def of(self, *states: str) -> list[Entry]:
+        """Return the runs with one of some states."""
+        return [entry for entry in self.entries.values() if entry.state in states]
+
+    def counts(self) -> str:
+        """Return the number of runs with each state."""
+        return ", ".join(f"{len(self.of(state))} {state}" for state in STATES)
+
+
+def _read_entry(folder: Path, name: str) -> Entry:
+    from zoo_configs.drawing.curves import load_curve
+
+    try:
+        found = run_status(folder / name)
+    except CommandError as error:
+        return Entry(name, State.FAILED.value, detail=str(error))
+    if found is None:
+        return Entry(name)
+    success = ""
+    with contextlib.suppress(CommandError, OSError):  # missing, or not yet visible in a shared folder
+        curve = load_curve(folder / name / EVALUATIONS_FILE)
+        success = f"success {curve.success[-1]:.2f} at {curve.timesteps[-1]}"
+    state = WAITING if found.state is State.KILLED else found.state.value
+    details = {State.RUNNING: f"on {found.host}", State.FAILED: found.error}
+    return Entry(name, state, success, details.get(found.state, ""))
+
+
+@contextmanager
+def shown(overview: Overview, progress: bool | None = None) -> Iterator[Callable[[], None]]:
+    """
+    Print each change of an overview, above a progress bar with the counts.
+
+    Provide a function to call often, which updates the overview. None shows the bar on a terminal.
+    """
+    last = -INTERVAL
+    with tqdm(total=len(overview.entries), unit="run", disable=hides_progress(progress)) as bar:
+
+        def update() -> None:
+            nonlocal last
+            if time.monotonic() - last < INTERVAL:
+                return
+            last = time.monotonic()
+            for entry in overview.update():
+                text = ", ".join(filter(None, (f"{entry.state} {entry.name}", entry.success, entry.detail)))
+                bar.write(f"[{overview.counts()}] {text}", file=sys.stderr)
+            bar.n = len(overview.of(*ENDED))
+            bar.set_postfix_str(overview.counts())
+
+        yield update
 
 
 def train_jobs(
-    jobs: Sequence[Job],
+    jobs: Sequence[Run],
     folder: Path,
     runner: Runner,
     retry_failed: bool = False,
@@ -109,9 +196,9 @@ def train_jobs(
             for entry in overview.of(State.FAILED.value):
                 set_status(folder / entry.name, State.KILLED)
             overview.update()
-        ended = {entry.name for state in (State.DONE, State.FAILED) for entry in overview.of(state.value)}
+        ended = {entry.name for entry in overview.of(*ENDED)}
         print(f"{folder}: {overview.counts()}", file=sys.stderr)
         with shown(overview, progress) as look:
-            runner([job for job in jobs if job.name not in ended], look)
+            runner([job for job in jobs if str(job.folder) not in ended], look)
     overview.update()
     return overview

@@ -25,9 +25,8 @@ from zoo_configs.experiments.flags import PRESETS
 from zoo_configs.files import missing_folders, print_written, remove_empty
 
 if TYPE_CHECKING:
-    from zoo_configs.benchmarking.plan import Job
-    from zoo_configs.benchmarking.run import Runner, Size
-    from zoo_configs.benchmarking.status import Overview
+    from zoo_configs.benchmarking.run import Overview, Runner, Size
+    from zoo_configs.training.runs import Run
 
 DESCRIPTION = """Train all experiments of a benchmark with all seeds, in processes of this machine or on a Ray
 cluster. The same command resumes a benchmark: runs that are done are kept, interrupted runs resume from their
@@ -55,7 +54,7 @@ def main(argv: Sequence[str]) -> None:
         check_device(args.device)
     folder = args.log_folder or Path("benchmarks") / Path(args.name).stem
     check_jobs(jobs, folder)
-    sizes = {name: size_of(job) for name, job in {job.experiment_name: job for job in reversed(jobs)}.items()}
+    sizes = {name: size_of(job) for name, job in {job.folder.parent: job for job in reversed(jobs)}.items()}
     if args.dry_run:
         _print_sizes(jobs, sizes)
         return
@@ -112,19 +111,19 @@ def _positive(text: str) -> float:
     return value
 
 
-def _print_sizes(jobs: Sequence[Job], sizes: Mapping[str, Size]) -> None:
+def _print_sizes(jobs: Sequence[Run], sizes: Mapping[Path, Size]) -> None:
     rows = []
     for name, size in sorted(sizes.items()):
-        seeds = " ".join(str(job.seed) for job in jobs if job.experiment_name == name)
-        rows.append([name, seeds, f"{size.memory:.1f}", f"{size.disk:.2f}"])
+        seeds = " ".join(str(job.seed) for job in jobs if job.folder.parent == name)
+        rows.append([str(name), seeds, f"{size.memory:.1f}", f"{size.disk:.2f}"])
     print_table(["experiment", "seeds", "GB of memory", "GB of disk"], rows)
-    disk = sum(sizes[job.experiment_name].disk for job in jobs)
+    disk = sum(sizes[job.folder.parent].disk for job in jobs)
     print(f"{len(rows)} experiments, {len(jobs)} runs, {disk:.2f} GB of disk")
 
 
 @contextmanager
 def _runner(
-    jobs: Sequence[Job], sizes: Mapping[str, Size], folder: Path, args: argparse.Namespace
+    jobs: Sequence[Run], sizes: Mapping[Path, Size], folder: Path, args: argparse.Namespace
 ) -> Iterator[Runner]:
     """Prepare the machine or the cluster, and provide the function that trains runs."""
     if args.ray is None:
@@ -136,7 +135,7 @@ def _runner(
     from zoo_configs.benchmarking.cluster import check_resources, connected, run_on_ray, shared_folder
 
     with connected(args.ray):
-        resources = {job.name: _resources(args, sizes[job.experiment_name]) for job in jobs}
+        resources = {str(job.folder): _resources(args, sizes[job.folder.parent]) for job in jobs}
         check_resources(resources)
         with shared_folder(folder, args.gym_packages) as token:
             yield lambda waiting, look: run_on_ray(waiting, folder, resources, token, look)

@@ -6,7 +6,7 @@ from pathlib import Path
 from statistics import fmean
 
 from zoo_configs.arguments import Parser, add_env_kwargs, add_packages, add_progress, positive_int, seed
-from zoo_configs.environments import demonstrations, known_env_id, register_environments, try_env
+from zoo_configs.environments import known_env_id, register_environments, try_env
 from zoo_configs.errors import refused
 from zoo_configs.files import check_writable, print_written
 
@@ -18,6 +18,8 @@ SUFFIXES = (".h5", ".hdf5")
 def main(argv: Sequence[str]) -> None:
     """Run the command."""
     args = _parse(argv)
+    from bulletarm_gym.demonstrations import collect
+
     register_environments(args.gym_packages)
     env_id = known_env_id(args.env)
     path = args.output or Path(f"{env_id.rpartition('/')[2]}-{args.planner}.h5")
@@ -25,7 +27,7 @@ def main(argv: Sequence[str]) -> None:
     try_env(env_id, args.env_kwargs)
     settings = {"seed": args.seed, "env_kwargs": args.env_kwargs, "path": path, "progress": args.progress}
     with refused(f"{env_id}: no demonstrations", (RuntimeError, ValueError)):
-        found = demonstrations().collect(env_id, args.episodes, args.planner, **settings)
+        found = collect(env_id, args.episodes, args.planner, **settings)
     length = fmean(len(episode) for episode in found)
     print(f"{env_id}: {len(found)} of {found.attempts} attempts succeeded, mean_length={length:.2f}")
     print_written(path)

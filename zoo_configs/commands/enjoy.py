@@ -5,8 +5,7 @@ import sys
 from collections.abc import Sequence
 from contextlib import closing
 
-from zoo_configs.arguments import Parser, positive_int
-from zoo_configs.commands.agent_flags import add_agent_flags, query_of
+from zoo_configs.arguments import Parser, add_agent_flags, positive_int, query_of
 from zoo_configs.errors import CommandError, reason
 from zoo_configs.files import print_written
 

@@ -65,10 +65,8 @@ def _list_baselines() -> None:
 
     for family in families():
         print(f"{family.envs}, presets {', '.join(family.presets)}\n")
-        rows = [
-            [name, row.learner, row.network, ", ".join(row.additions)]
-            for name, row in family.baselines.items()
-        ]
+        baselines = family.baselines.items()
+        rows = [[name, row.learner, row.network, ", ".join(row.additions)] for name, row in baselines]
         print_table(["baseline", "learner", "network", "additions"], rows, wrap=True)
         print()
 

@@ -11,8 +11,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from zoo_configs.arguments import Parser, check_device, positive_int
-from zoo_configs.commands.agent_flags import add_agent_flags, query_of
+from zoo_configs.arguments import Parser, add_agent_flags, check_device, positive_int, query_of
 from zoo_configs.environments import register_environments
 from zoo_configs.errors import CommandError, refused
 from zoo_configs.files import check_writable, print_written
@@ -56,7 +55,6 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     add("-name", "--repo-name", help="name of the repository (default: BASELINE-ENV)")
     add("--folder", type=Path, help="write this folder instead; an existing agent is replaced")
     add("-n", "--episodes", type=positive_int, default=100, help="number of test episodes (default: 100)")
-    add("--full-precision", action="store_true", help="store the weights in float32")
     args = parser.parse_args(argv)
     if (args.organization is None) == (args.folder is None):
         parser.error("pass either --organization or --folder")
@@ -106,8 +104,7 @@ def _pack(agent: Agent, folder: Path, args: argparse.Namespace, repo_id: str | N
 
     print(f"{agent.label} on {agent.env_id}, model {agent.path}")
     options = EvalOptions(args.episodes, args.seed, env_kwargs=args.env_kwargs, progress=args.progress)
-    full = args.full_precision
-    card = pack(agent, folder, options, device=args.device, full_precision=full, repo_id=repo_id)
+    card = pack(agent, folder, options, device=args.device, repo_id=repo_id)
     print(f"success_rate={card.success:.2f} episodes={card.episodes}")
 
 

@@ -8,8 +8,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from zoo_configs.arguments import Parser, positive_int
-from zoo_configs.commands.agent_flags import add_agent_flags, query_of
+from zoo_configs.arguments import Parser, add_agent_flags, positive_int, query_of
 from zoo_configs.environments import register_environments
 from zoo_configs.files import check_writable, print_written
 
@@ -60,12 +59,8 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     add = parser.add_argument
     add("--expert", action="store_true", help="record the expert of --env")
     add("-n", "--episodes", type=positive_int, default=5, help="number of episodes (default: 5)")
-    add(
-        "--format",
-        choices=FORMATS,
-        default="gif",
-        help="format of the video in the run folder (default: gif)",
-    )
+    kind = "format of the video in the run folder (default: gif)"
+    add("--format", choices=FORMATS, default="gif", help=kind)
     add("-o", "--output", type=Path, help=".gif or .mp4 file to write (default: in the run folder)")
     args = parser.parse_args(argv)
     if args.output is not None and args.output.suffix[1:] not in FORMATS:

@@ -80,11 +80,8 @@ def _begin(args: argparse.Namespace, progress: bool) -> Run:
 
     experiment = find_experiment(args)
     seed = secrets.randbelow(MAX_SEED + 1) if args.seed in (None, -1) else args.seed
-    default = (
-        f", baseline {experiment.baseline} of --algo {args.algo}"
-        if experiment.baseline != args.baseline
-        else ""
-    )
+    is_default = experiment.baseline != args.baseline
+    default = f", baseline {experiment.baseline} of --algo {args.algo}" if is_default else ""
     print(f"{experiment.env_id}, seed {seed}{default}")
     return train_experiment(
         experiment,

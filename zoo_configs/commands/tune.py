@@ -34,8 +34,7 @@ def main(argv: Sequence[str]) -> None:
     import matplotlib as mpl
     import optuna
 
-    from zoo_configs.tuning.report import BEST_FILE, check_complete, summary, write_report
-    from zoo_configs.tuning.study import open_study, work
+    from zoo_configs.tuning.study import BEST_FILE, check_complete, open_study, summary, work, write_report
 
     mpl.use("Agg")
     optuna.logging.set_verbosity(optuna.logging.WARNING)

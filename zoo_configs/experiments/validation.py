@@ -1,5 +1,6 @@
 """Checks of an experiment before anything is built: names of arguments, policies and files."""
 
+import contextlib
 import math
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -17,49 +18,49 @@ from zoo_configs.training.objects import TRAINER_KEYS
 
 RESERVED_KEYS = {"_init_setup_model", "device", "env", "seed", "tensorboard_log", "verbose"}
 """Constructor arguments that the trainer passes to every algorithm."""
-
 SCHEDULE_PREFIX = "lin_"
-PERIOD_UNITS = ("step", "episode")
 
 
-def _is_number(value: Any, low: float = -math.inf, high: float = math.inf) -> bool:
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    return is_number and math.isfinite(value) and low <= value <= high
+def _number(low: float, high: float = math.inf, whole: bool = False) -> tuple[str, Callable[[Any], bool]]:
+    """Return description and check of finite numbers within bounds."""
+    kinds = (int,) if whole else (int, float)
+    limits = f"of at least {low}" if high == math.inf else f"from {low} to {high}"
+
+    def is_valid(value: Any) -> bool:
+        is_number = isinstance(value, kinds) and not isinstance(value, bool)
+        return is_number and math.isfinite(value) and low <= value <= high
+
+    return f"a {'whole ' if whole else ''}number {limits}", is_valid
 
 
-def _is_whole(value: Any, low: int) -> bool:
-    return isinstance(value, int) and _is_number(value, low)
+RATE, COUNT = _number(0), _number(1, whole=True)
+ARGUMENTS = ("a mapping of arguments", lambda value: isinstance(value, Mapping | str | None))
 
 
 def _is_rate(value: Any) -> bool:
     if isinstance(value, str) and value.startswith(SCHEDULE_PREFIX):
-        try:
+        with contextlib.suppress(ValueError):
             value = float(value.removeprefix(SCHEDULE_PREFIX))
-        except ValueError:
-            return False
-    return _is_number(value, 0)
+    return RATE[1](value)
 
 
 def _is_period(value: Any) -> bool:
     number, unit = value if isinstance(value, list | tuple) and len(value) == 2 else (value, "step")
-    return _is_whole(number, 1) and unit in PERIOD_UNITS
+    return COUNT[1](number) and unit in ("step", "episode")
 
 
-COUNT = ("a whole number of at least 1", lambda value: _is_whole(value, 1))
-SHARE = ("a number from 0 to 1", lambda value: _is_number(value, 0, 1))
-ARGUMENTS = ("a mapping of arguments", lambda value: isinstance(value, Mapping | str | None))
 RANGES: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "action_noise": ("None (set noise_type and noise_std instead)", lambda value: value is None),
     "env_kwargs": ("a mapping of parameters", lambda value: isinstance(value, Mapping)),
-    "gradient_steps": ("a whole number of at least -1", lambda value: _is_whole(value, -1)),
-    "learning_rate": (f"a number of at least 0, or {SCHEDULE_PREFIX}NUMBER", _is_rate),
-    "learning_starts": ("a whole number of at least 0", lambda value: _is_whole(value, 0)),
-    "n_timesteps": ("a number of at least 1", lambda value: _is_number(value, 1)),
+    "gradient_steps": _number(-1, whole=True),
+    "learning_rate": (f"{RATE[0]}, or {SCHEDULE_PREFIX}NUMBER", _is_rate),
+    "learning_starts": _number(0, whole=True),
+    "n_timesteps": _number(1),
     "policy": ("a name", lambda value: isinstance(value, str)),
-    "train_freq": ("a whole number of at least 1, or [number, 'step' or 'episode']", _is_period),
+    "train_freq": (f"{COUNT[0]}, or [number, 'step' or 'episode']", _is_period),
     **dict.fromkeys(("batch_size", "buffer_size", "frame_stack", "n_envs", "n_epochs", "n_steps"), COUNT),
     "target_update_interval": COUNT,
-    **dict.fromkeys(("gamma", "tau"), SHARE),
+    **dict.fromkeys(("gamma", "tau"), _number(0, 1)),
     **dict.fromkeys(("monitor_kwargs", "policy_kwargs", "replay_buffer_kwargs"), ARGUMENTS),
 }
 """Description and check of valid values, by hyperparameter."""
@@ -69,7 +70,9 @@ def check_experiment(experiment: ExperimentConfig) -> None:
     """Raise ``CommandError`` for an unknown name, with the nearest valid one, or an invalid value."""
     algorithms = algorithm_classes()
     check_names("algorithm", [experiment.algo], algorithms)
-    check_values(experiment.hyperparams)
+    for name, (constraint, is_valid) in RANGES.items():
+        if name in experiment.hyperparams and not is_valid(experiment.hyperparams[name]):
+            raise CommandError(f"{name} must be {constraint}, got {experiment.hyperparams[name]!r}")
     algorithm = algorithms[experiment.algo]
     valid = {"policy", *TRAINER_KEYS, *constructor_keys(algorithm)} - RESERVED_KEYS
     check_names(f"hyperparameter of {experiment.algo}", experiment.hyperparams, valid)
@@ -85,10 +88,8 @@ def check_experiment(experiment: ExperimentConfig) -> None:
 
 def check_expert_data(experiment: ExperimentConfig, env: gym.Env[Any, Any]) -> None:
     """Raise ``CommandError`` if a file of demonstrations is damaged or has another task or parameters."""
-    path, episodes = (
-        values.get("expert_data")
-        for values in (experiment.hyperparams, load_expert_data(experiment.hyperparams))
-    )
+    path = experiment.hyperparams.get("expert_data")
+    episodes = load_expert_data(experiment.hyperparams).get("expert_data")
     config: Any = getattr(env.unwrapped, "config", None)
     if not isinstance(path, str) or episodes is None or config is None:
         return
@@ -147,10 +148,3 @@ def _check_replay_buffer(algorithm: type[Any], hyperparams: Mapping[str, Any]) -
 def _imported(kind: str, path: str) -> type[Any]:
     with refused(f"{kind} {path!r} cannot be imported", (ImportError, ValueError)):
         return class_from_path(path)
-
-
-def check_values(hyperparams: Mapping[str, Any]) -> None:
-    """Raise ``CommandError`` for an invalid value of a hyperparameter."""
-    for name, (constraint, is_valid) in RANGES.items():
-        if name in hyperparams and not is_valid(hyperparams[name]):
-            raise CommandError(f"{name} must be {constraint}, got {hyperparams[name]!r}")

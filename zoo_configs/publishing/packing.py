@@ -97,7 +97,6 @@ def pack(
     options: EvalOptions,
     *,
     device: str = "auto",
-    full_precision: bool = False,
     repo_id: str | None = None,
 ) -> Card:
     """
@@ -110,27 +109,24 @@ def pack(
     :param folder: Existing folder
     :param options: Options of the test
     :param device: PyTorch device
-    :param full_precision: Whether to store weights in float32
     :param repo_id: Repository for which the page is written
     :return: The card
     :raises CommandError: if the agent cannot be tested
     """
     assert agent.run is not None
-    path = (
-        folder / f"{agent.run.experiment.algo}-{env_folder_name(agent.env_id)}.zip"
-    )  # huggingface_sb3's ModelName
+    run = agent.run
+    name = f"{run.experiment.algo}-{env_folder_name(agent.env_id)}.zip"  # huggingface_sb3's ModelName
 
-    def store(run: Run, half: bool) -> tuple[str, Outcome]:
-        weights = save_compact(agent.model, path, half)
-        return weights, evaluate_agent(
-            replace(agent, model=load_model(path, run.experiment.algo, device)), options
-        )
+    def store(half: bool) -> tuple[str, Outcome]:
+        weights = save_compact(agent.model, folder / name, half)
+        stored = load_model(folder / name, run.experiment.algo, device)
+        return weights, evaluate_agent(replace(agent, model=stored), options)
 
-    weights, outcome = store(agent.run, not full_precision)
-    if not full_precision and outcome.success_rate < evaluate_agent(agent, options).interval[0]:
+    weights, outcome = store(half=True)
+    if outcome.success_rate < evaluate_agent(agent, options).interval[0]:
         print("half precision lowers the success rate: the weights are stored in float32")
-        weights, outcome = store(agent.run, False)
-    card = _card(agent, agent.run, options, outcome, path.name, weights)
+        weights, outcome = store(half=False)
+    card = _card(agent, run, options, outcome, name, weights)
     card.write(folder)
     with whole_file(folder / README_FILE) as partial:
         partial.write_text(render_readme(card, repo_id), encoding="utf-8")
@@ -207,10 +203,8 @@ def _commit(commit: str) -> str:
 
 
 def _metadata(card: Card, name: str) -> dict[str, Any]:
-    metrics = {
-        "mean_reward": f"{card.mean_return:.2f} +/- {card.std_return:.2f}",
-        "success_rate": card.success,
-    }
+    mean_reward = f"{card.mean_return:.2f} +/- {card.std_return:.2f}"
+    metrics = {"mean_reward": mean_reward, "success_rate": card.success}
     over = {"config": f"{card.episodes} episodes", "verified": False}
     result = {
         "task": {"type": REINFORCEMENT_LEARNING, "name": REINFORCEMENT_LEARNING},

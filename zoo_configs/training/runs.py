@@ -64,13 +64,8 @@ class Run:
 
     @property
     def params_folder(self) -> Path:
-        """Folder of rl_zoo3's configuration."""
+        """Folder of the configuration and the statistics that rl_zoo3 reads."""
         return self.folder / env_folder_name(self.experiment.env_id)
-
-    @property
-    def config_file(self) -> Path:
-        """Hyperparameters for rl_zoo3."""
-        return self.params_folder / "config.yml"
 
     @property
     def statistics_file(self) -> Path:

@@ -19,11 +19,10 @@ from zoo_configs.environments import load_expert_data
 from zoo_configs.errors import CommandError, reason, refused
 from zoo_configs.experiments.validation import policy_class
 from zoo_configs.files import write_yaml
-from zoo_configs.training.evaluation import PeriodicEvaluation, save_model
+from zoo_configs.training.evaluation import PeriodicEvaluation, TrainingLog, save_model
 from zoo_configs.training.objects import TRAINER_KEYS, action_noise, build_vec_env, callbacks, parsed
 from zoo_configs.training.runs import Run, env_folder_name
 from zoo_configs.training.seeds import SeedStream, stream_seed
-from zoo_configs.training.training_log import TrainingLog
 
 REJECTIONS = (AssertionError, MemoryError, RuntimeError, TypeError, ValueError)
 """Errors of algorithms for arguments, or environments, with which they cannot learn."""
@@ -112,7 +111,7 @@ class Trainer:
 
     def write_configuration(self) -> None:
         """Write the hyperparameters with which rl_zoo3 loads a run."""
-        write_yaml(self.run.config_file, dict(sorted(self.hyperparams.items())))
+        write_yaml(self.run.params_folder / "config.yml", dict(sorted(self.hyperparams.items())))
 
     def close(self) -> None:
         """Close all environments."""
@@ -173,14 +172,13 @@ class Trainer:
         if values.get("noise_type") is not None:
             values["action_noise"] = action_noise(values["noise_type"], values["noise_std"], env.action_space)
         folder = self.options.tensorboard_log
+        tensorboard = str(Path(folder) / env_folder_name(self.run.experiment.env_id)) if folder else None
         return {
             **{key: value for key, value in values.items() if key not in TRAINER_KEYS},
             "seed": self.run.seed,
             "device": self.run.device,
             "verbose": self.verbose,
-            "tensorboard_log": str(Path(folder) / env_folder_name(self.run.experiment.env_id))
-            if folder
-            else None,
+            "tensorboard_log": tensorboard,
         }
 
 

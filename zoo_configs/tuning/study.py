@@ -1,7 +1,8 @@
-"""A study: trials in a storage that several processes share."""
+"""A study: trials in a storage that several processes share, its best hyperparameters and its plots."""
 
 import fcntl
 import json
+import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -11,6 +12,8 @@ from uuid import uuid4
 
 import numpy as np
 import optuna
+from optuna.exceptions import ExperimentalWarning
+from optuna.importance import PedAnovaImportanceEvaluator
 from optuna.pruners import MedianPruner, NopPruner
 from optuna.samplers import TPESampler
 from optuna.storages import BaseStorage, JournalStorage, RDBStorage
@@ -24,9 +27,9 @@ from zoo_configs.arguments import hides_progress
 from zoo_configs.drawing.curves import load_curve
 from zoo_configs.errors import CommandError, reason, refused
 from zoo_configs.experiments.config import ExperimentConfig, merge
-from zoo_configs.files import whole_file
+from zoo_configs.files import whole_file, write_yaml
 from zoo_configs.training.options import TrainingOptions
-from zoo_configs.training.runs import EVALUATIONS_FILE, Run
+from zoo_configs.training.runs import EVALUATIONS_FILE, Run, load_run
 from zoo_configs.training.seeds import SeedStream, stream_seed
 from zoo_configs.training.state import is_locked, lock
 from zoo_configs.training.train import train_experiment
@@ -39,6 +42,13 @@ ERROR, REPEATS, PRUNED = "error", "repeats", "pruned"
 """Attributes of a trial: the reason for its failure, the trials that it repeats, and that it was pruned."""
 WARMUP = 2
 """Evaluations before a trial is pruned; the first ones precede the agent's own steps."""
+BEST_FILE = "best.yml"
+DOTS_PER_INCH = 120
+PLOT_SIZE = (9.0, 5.0)
+"""Width and height in inches."""
+IMPORTANCES_TITLE = "Hyperparameter importances (PED-ANOVA: what distinguishes the best trials)"
+LEAST_TRIALS = 2
+"""Complete trials that the plots need."""
 
 
 @dataclass(frozen=True)
@@ -98,13 +108,12 @@ def open_study(search: Search) -> optuna.Study:
     search.folder.mkdir(parents=True, exist_ok=True)
     with _alone(search.folder):
         with refused(f"--storage: {search.storage_name} cannot be opened"):
+            is_median = search.pruner == "median"
             study = optuna.create_study(
                 storage=_storage(search),
                 study_name=search.name,
                 direction="maximize",
-                pruner=MedianPruner(search.n_startup_trials, WARMUP)
-                if search.pruner == "median"
-                else NopPruner(),
+                pruner=MedianPruner(search.n_startup_trials, WARMUP) if is_median else NopPruner(),
                 load_if_exists=True,
             )
         if STUDY not in study.user_attrs:
@@ -302,3 +311,64 @@ def score(run: Run) -> float:
     """
     success = load_curve(run.evaluations_file).success
     return float(np.mean(success[len(success) // 2 :]))
+
+
+def write_report(search: Search, study: optuna.Study) -> list[Path]:
+    """Write and return the results of a study so far: none without a complete trial."""
+    complete = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
+    if not complete:
+        return []
+    best = _write_best(search, study.best_trial)
+    return [best, *_draw(search.folder, study)] if len(complete) >= LEAST_TRIALS else [best]
+
+
+def summary(study: optuna.Study) -> str:
+    """Return the number of a study's trials by state, without repeated ones."""
+    trials = study.get_trials(deepcopy=False)
+    again = retried(trials)
+    states = [trial.state.name.lower() for trial in trials if trial.number not in again]
+    return ", ".join(f"{states.count(name)} {name}" for name in dict.fromkeys(states))
+
+
+def _write_best(search: Search, trial: FrozenTrial) -> Path:
+    """Write the hyperparameters of the best trial for ``train --conf-file``."""
+    run = load_run(trial_folder(search, trial))
+    path = search.folder / BEST_FILE
+    hyperparams = {**run.experiment.hyperparams, "n_timesteps": run.n_timesteps}
+    write_yaml(path, {run.experiment.env_id: hyperparams}, f"{search.name}, {describe(trial)}")
+    return path
+
+
+def check_complete(search: Search, study: optuna.Study) -> None:
+    """Raise ``CommandError`` if a study has no complete trial, and no process is training one."""
+    trials = study.get_trials(deepcopy=False)
+    if any(trial.state is TrialState.COMPLETE or not trial.state.is_finished() for trial in trials):
+        return
+    errors = [trial.user_attrs[ERROR] for trial in trials if ERROR in trial.user_attrs]
+    why = f". First error: {errors[0]}" if errors else ""
+    raise CommandError(f"study {search.name} has no complete trial of {len(trials)}{why}")
+
+
+def _draw(folder: Path, study: optuna.Study) -> list[Path]:
+    from optuna.visualization import matplotlib as visualization
+
+    evaluator = PedAnovaImportanceEvaluator()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ExperimentalWarning)
+        plots = {
+            "history": visualization.plot_optimization_history(study),
+            "importances": visualization.plot_param_importances(study, evaluator=evaluator),
+            "parallel_coordinates": visualization.plot_parallel_coordinate(study),
+        }
+    plots["importances"].set_title(IMPORTANCES_TITLE)
+    return [_save(folder / f"{name}.png", axes) for name, axes in plots.items()]
+
+
+def _save(path: Path, axes: Any) -> Path:
+    from matplotlib import pyplot as plt
+
+    axes.figure.set_size_inches(PLOT_SIZE)
+    with whole_file(path) as partial:
+        axes.figure.savefig(partial, dpi=DOTS_PER_INCH, bbox_inches="tight")
+    plt.close(axes.figure)
+    return path
