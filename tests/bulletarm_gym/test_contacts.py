@@ -133,6 +133,19 @@ NEAR = 0.03
 """Maximum distance (m) along each axis between an object and a target of the gripper."""
 
 
+@pytest.mark.parametrize("surface", ["flat", "ramp"])
+def test_picking_a_support_lets_its_load_fall(make: Make, surface: str) -> None:
+    layout = {0: above(HALF, -0.03), 1: above(HALF, 0.03), 2: above(HALF + SIDE)}
+    for fast in (True, False):
+        env = arranged(make, (OPEN_LOOP, surface), layout, fast)
+        env.reset(seed=0)
+        (x, y, z), load = env.scene["cube 0"].pose.position, env.scene["cube 2"].pose
+        step_on(env, env.encode_action(PickPlace("pick", (x - 0.015, y, z), (math.pi / 2.0, 0.0, 0.0))))
+        assert env.scene.held is env.scene["cube 0"]
+        assert math.dist(env.scene["cube 2"].pose.position, load.position) > 0.005, "tipped, or fallen"
+        assert_supported(env)
+
+
 def penetration(env: ManipulationEnv) -> float:
     """Return the depth (m) of the last link, the fingers and the grasped object in other bodies."""
     world, arm, held = env.scene.world, env.scene.robot.body, env.scene.robot.held

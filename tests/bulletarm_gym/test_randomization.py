@@ -3,6 +3,7 @@
 import itertools
 import pickle
 import re
+from dataclasses import fields
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -343,6 +344,27 @@ def test_all_sensors_are_exact(make: Make) -> None:
     cameras = ["heightmap", "rgb", "depth", "point_cloud"]
     check_exactness(make, PICKING, view="point_cloud", observation=cameras)
     check_exactness(make, PICKING, observation=["heightmap", "color", "segmentation", "state"])
+
+
+def random_ranges(rng: np.random.Generator, open_loop: bool) -> dict[str, list[float]]:
+    """Return accepted ranges of some quantities."""
+    chosen = [entry for entry in fields(Randomization) if rng.random() < 0.5]
+    ranges = {entry.name: sorted(rng.uniform(*entry.metadata["limits"], 2).tolist()) for entry in chosen}
+    return {name: ends for name, ends in ranges.items() if not (open_loop and name == "action_delay")}
+
+
+@pytest.mark.parametrize("resets", [60, pytest.param(1000, marks=pytest.mark.slow)])
+def test_resets_with_random_ranges(resets: int) -> None:
+    rng = np.random.default_rng(0)
+    for number in range(resets // 10):
+        env_id = TYPICAL[number % len(TYPICAL)]
+        env = make_env(env_id, obs_size=32, randomization=random_ranges(rng, is_open_loop(env_id)))
+        for seed in range(10):
+            observation, info = env.reset(seed=seed)
+            assert env.observation_space.contains(observation)
+            assert all(np.isfinite(list(values_of(info).values())))
+        env.step(env.action_space.sample())
+        env.close()
 
 
 PAGE = Path(__file__).parents[2] / "docs" / "guides" / "randomization.md"
