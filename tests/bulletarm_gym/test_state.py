@@ -234,7 +234,6 @@ def test_seed_of_a_reset_to_a_state_determines_later_episodes(picking: Manipulat
         ("num_objects", STACKING, {"num_objects": 3}),
         ("in_hand", STACKING, {"action_sequence": "pxyzrrr"}),
     ],
-    ids=str,
 )
 def test_state_of_another_environment_is_rejected(
     make: Make, name: str, env_id: str, parameters: dict[str, Any]
