@@ -27,7 +27,15 @@ from bulletarm_gym.objects.blocks import (
     triangle,
 )
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, scaled
-from bulletarm_gym.scene.predicates import UPRIGHT, is_empty, is_top, stacked, success_at_rest, upright
+from bulletarm_gym.scene.predicates import (
+    UPRIGHT,
+    is_empty,
+    is_top,
+    on_surface,
+    stacked,
+    success_at_rest,
+    upright,
+)
 from bulletarm_gym.scene.sampling import place_apart, sample_until, scatter, stand
 from bulletarm_gym.simulation import BodySpec
 from bulletarm_gym.tasks.picking import BORDER_MARGIN
@@ -242,15 +250,16 @@ class BlockStacking(Stack):
         """Return the offsets between cubes, and those of a finished stack, (3 n - 2,) m each for n cubes.
 
         For each cube but the lowest: its position minus that of the cube before it in the order of heights.
-        Cubes at the same level are in the order of their numbers. At the end: a cube's side while the gripper
-        holds a cube, else 0.
+        Cubes at the same level are in the order of their numbers. At the end: 0 if the gripper is empty and
+        the lowest cube stands on the surface, else a cube's side.
         """
         side = CUBE_SIZE * max(self.config.scales)
         cubes = sorted(scene.objects, key=lambda block: math.floor(block.pose.z / side))
         offsets = np.diff([block.pose.position for block in cubes], axis=0)
         rises = [(a.spec.extents[2] + b.spec.extents[2]) / 2.0 for a, b in pairwise(cubes)]
         desired = [value for rise in rises for value in (0.0, 0.0, rise)]
-        return np.append(offsets, 0.0 if is_empty(scene) else side), np.array([*desired, 0.0])
+        is_free = is_empty(scene) and on_surface(scene, cubes[0])
+        return np.append(offsets, 0.0 if is_free else side), np.array([*desired, 0.0])
 
     def goal_error(self, achieved: FloatArray, desired: FloatArray) -> FloatArray:
         """Return the largest differences of an offset, relative to half a cube's side."""

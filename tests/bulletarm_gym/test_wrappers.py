@@ -23,6 +23,7 @@ from gymnasium.wrappers import (
 from stable_baselines3.common.env_checker import check_env as check_sb3
 
 import bulletarm_gym  # noqa: F401
+from bulletarm_gym.geometry import Pose
 from bulletarm_gym.wrappers import GoalObservation, ImageObservation
 
 CLOSE, OPEN = "BulletArm/CloseLoopBlockPicking-v0", "BulletArm/OpenLoopRampBlockStacking-v0"
@@ -181,6 +182,7 @@ def test_checks_of_gymnasium_and_sb3_are_clean(task: str) -> None:
 def test_rewards_are_the_success_of_the_task_in_valid_scenes(task: str) -> None:
     """In every step of the expert, and for all steps at once."""
     env, rng = goal_env(task), np.random.default_rng(0)
+    env.action_space.seed(0)
     for seed in range(4):
         observation, info = env.reset(seed=seed)
         steps, rewards, terminated, truncated = [], [], False, False
@@ -228,6 +230,16 @@ def test_goals_of_the_tasks_are_positions_and_gaps() -> None:
         if task == "BlockPulling":
             assert observation["achieved_goal"] > 0.0 == observation["desired_goal"]
     assert shapes == dict(zip(TASKS, [(3,), (2,), (1,), (4,)], strict=True))
+
+
+def test_stack_above_the_surface_is_no_goal() -> None:
+    env = goal_env("BlockStacking")
+    env.reset(seed=0)
+    core: Any = env.unwrapped
+    for height, reward in ((0.0, 1.0), (0.05, 0.0)):
+        for number, cube in enumerate(core.scene.objects):
+            cube.place(Pose.planar(0.45, 0.0, height + 0.025 + 0.05 * number))
+        assert env.compute_reward(*core.task.goals(core.scene), {}) == reward
 
 
 def test_other_tasks_and_images_are_refused() -> None:
