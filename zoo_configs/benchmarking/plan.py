@@ -38,7 +38,7 @@ class Plan:
     :param benchmark: Benchmark whose parameters the tasks have; None selects the first that has the task
     :param options: Fields of ``TrainingOptions``
     :param hyperparams: Hyperparameters that replace the values of the baselines
-    :param variants: Further hyperparameters by the names of variants; each baseline has one run a variant
+    :param variants: Further hyperparameters by the names of variants. Each baseline has a run with each
     """
 
     tasks: Sequence[str] = ()
@@ -48,7 +48,7 @@ class Plan:
     benchmark: str | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
     hyperparams: Mapping[str, Any] = field(default_factory=dict)
-    variants: Mapping[str, Mapping[str, Any]] = field(default_factory=lambda: {"": {}})
+    variants: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
 
 def read_plan(name: str) -> Plan:
@@ -79,11 +79,10 @@ def parse_plan(where: str, content: Any) -> Plan:
         names = content.get(key)
         if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
             raise CommandError(f"{key} of {where} must be a list of names, got {names!r}")
-    variants = content.get("variants", {"": {}})
     for key in ("options", "hyperparams", "variants"):
         if not isinstance(content.get(key, {}), dict):
             raise CommandError(f"{key} of {where} must be a mapping, got {content[key]!r}")
-    for name, values in variants.items():
+    for name, values in content.get("variants", {}).items():
         if not isinstance(values, dict) or "/" in str(name):
             raise CommandError(f"variants of {where} must be mappings by name, got {name!r}: {values!r}")
     return Plan(**content)
@@ -95,7 +94,8 @@ def build_jobs(
     """
     Return the runs of a plan in the order in which they start.
 
-    Their folders, ``<task>/<baseline>/seed_<n>``, are relative to that of the benchmark.
+    Their folders, ``<task>/<baseline>/seed_<n>`` or ``<task>/<baseline>-<variant>/seed_<n>``, are relative to
+    that of the benchmark.
 
     Runs that follow each other have different tasks or seeds, so that each set of demonstrations is collected
     only once.
@@ -115,7 +115,7 @@ def build_jobs(
         )
         for task in tasks
         for label in _baselines(plan, task)
-        for variant, values in plan.variants.items()
+        for variant, values in (plan.variants or {"": {}}).items()
     ]
     options = {"num_threads": num_threads, **plan.options}
     packages = tuple(gym_packages)
