@@ -106,7 +106,7 @@ def export_lerobot(
         dataset = LeRobotDataset.create(
             repo_id,
             fps=core.metadata["render_fps"] if fps is None else fps,
-            features=features(core, next(frames(0, *arguments))),
+            features=features(core, next(frames(demonstrations[0], observations(0, *arguments)))),
             root=temporary,
             robot_type=core.config.robot,
             use_videos=False,
@@ -114,7 +114,7 @@ def export_lerobot(
         words = core.instruction if task is None else task
         try:
             for number in tqdm(range(len(demonstrations)), "lerobot", unit="episode", disable=None):
-                for frame in frames(number, *arguments):
+                for frame in frames(demonstrations[number], observations(number, *arguments)):
                     dataset.add_frame({**frame, "task": words})
                 dataset.save_episode()
         finally:
@@ -123,19 +123,13 @@ def export_lerobot(
 
 
 def frames(
-    number: int,
-    demonstrations: Demonstrations,
-    env: ManipulationEnv,
-    cameras: Mapping[str, Mapping[str, Any]] = CAMERAS,
-    object_poses: bool = False,
+    episode: Episode, observations: Iterator[dict[str, NDArray[Any]]]
 ) -> Iterator[dict[str, NDArray[Any]]]:
-    """Replay an episode, and yield the values of a frame before each action, by the names of features.
+    """Yield the values of a frame for each action of an episode, by the names of features.
 
-    See :func:`observations` for the parameters.
+    :param observations: the n + 1 observations of :func:`observations`
     """
-    episode = demonstrations[number]
-    found = observations(number, demonstrations, env, cameras, object_poses)
-    for observation, step in zip(found, range(len(episode)), strict=False):
+    for step, observation in zip(range(len(episode)), observations, strict=False):
         yield {**observation, **_outcomes(episode, step)}
 
 
@@ -169,6 +163,11 @@ def observations(
         if taken := {name for name in names if names.count(name) > 1}:
             raise ValueError(f"cameras must have other names, got two features {', '.join(sorted(taken))}")
         yield dict(found)
+
+
+def short_name(name: str) -> str:
+    """Return the name of an observation in the files of robomimic and RLDS, such as ``front_image``."""
+    return f"{name[len(IMAGES) :]}_image" if name.startswith(IMAGES) else name.split(".", 1)[1]
 
 
 def features(env: ManipulationEnv, frame: Mapping[str, NDArray[Any]]) -> dict[str, dict[str, Any]]:

@@ -14,7 +14,7 @@ from tqdm import tqdm
 
 from bulletarm_gym.config_checks import check_argument, number
 from bulletarm_gym.demonstrations.episodes import PACKED, Demonstrations, Episode, atomic_path
-from bulletarm_gym.demonstrations.exports import CAMERAS, IMAGES, observations
+from bulletarm_gym.demonstrations.exports import CAMERAS, observations, short_name
 from bulletarm_gym.env import ManipulationEnv
 
 GYM_TYPE = 2
@@ -82,7 +82,7 @@ def _write(
     group["dones"] = np.arange(len(episode)) + 1 == len(episode)
     for name in observations[0]:
         values = np.stack([observation[name] for observation in observations])
-        key = f"{name[len(IMAGES) :]}_image" if name.startswith(IMAGES) else name.split(".", 1)[1]
+        key = short_name(name)
         group.create_dataset(f"obs/{key}", data=values[:-1], **PACKED)
         group.create_dataset(f"next_obs/{key}", data=values[1:], **PACKED)
     return group
