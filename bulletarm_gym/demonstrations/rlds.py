@@ -32,7 +32,7 @@ def export_rlds(
     """Store demonstrations as an RLDS dataset, which ``tfds.builder_from_directory()`` opens.
 
     The episodes are replayed for images and poses. An episode of n actions has n + 1 ``steps``. A step has
-    the ``observation`` before its ``action``, and the ``reward`` and ``discount`` after it; the last step has
+    the ``observation`` before its ``action``, and the ``reward`` and ``discount`` after it. The last step has
     the last observation, and zeros for the others, as RLDS defines. The observation has:
 
     - ``<camera>_image``: RGB image, (height, width, 3) uint8
