@@ -21,6 +21,7 @@ COMMANDS = {
     "train": "train an agent, or resume a training",
     "tune": "search hyperparameters with Optuna",
     "enjoy": "evaluate a trained agent",
+    "verify": "train the first updates of an agent again, and compare",
     "record": "record a video of a trained agent or of the expert",
     "push": "upload a trained agent to the Hugging Face hub, or write it to a folder",
     "benchmark": "train all experiments of a benchmark, on one machine or on a cluster",

@@ -4,6 +4,7 @@ import functools
 import subprocess
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 from bulletarm_gym.check import machine
 
@@ -19,12 +20,13 @@ def versions() -> dict[str, str]:
     return machine.versions(PACKAGES)
 
 
-def describe_arithmetic() -> str:
-    """Return the processor type and the number of threads, which floating-point results depend on."""
+def arithmetic() -> dict[str, Any]:
+    """Return what must be equal for results to repeat exactly: processor type, threads and versions."""
     import llvmlite.binding
     import torch
 
-    return f"{llvmlite.binding.get_host_cpu_name()}, {torch.get_num_threads()} threads"
+    processor = f"{llvmlite.binding.get_host_cpu_name()}, {torch.get_num_threads()} threads"
+    return {"arithmetic": processor, "versions": versions()}
 
 
 def describe_hardware(device: str = "cpu") -> str:

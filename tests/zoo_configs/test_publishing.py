@@ -23,6 +23,7 @@ from zoo_configs.agents import AgentQuery, find_agent
 from zoo_configs.cli import main
 from zoo_configs.evaluating import EvalOptions, Outcome, evaluate_agent
 from zoo_configs.experiments.families import task_name
+from zoo_configs.provenance import arithmetic
 from zoo_configs.publishing import packing
 from zoo_configs.publishing.compact import save_compact, stored_weights
 from zoo_configs.publishing.published import Published, published_agents, read_card
@@ -115,7 +116,7 @@ def evaluate(agent: Published, episodes: int) -> Outcome:
 
 def repeats(agent: Published) -> bool:
     """Whether the card was measured with the same arithmetic and versions."""
-    return {key: agent.card.measured[key] for key in packing.arithmetic()} == packing.arithmetic()
+    return {key: agent.card.measured[key] for key in arithmetic()} == arithmetic()
 
 
 def test_agents_are_small_and_listed(capsys):

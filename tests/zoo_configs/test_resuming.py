@@ -31,6 +31,8 @@ def test_an_extended_run_equals_a_longer_one(train_tiny, tmp_path):
     assert main(["train", "--resume", str(extended), "-n", "18", "--no-progress"]) == 0
     assert train_tiny(tmp_path / "b", constant, "-n", "18") == 0
     assert same(extended, longer) and len(list(extended.parent.iterdir())) == 1
+    certificates = [(folder / "certificate.yml").read_text() for folder in (extended, longer)]
+    assert certificates[0] == certificates[1]
 
 
 def test_a_damaged_checkpoint_is_replaced_by_the_one_before(train_tiny, tmp_path, capsys, refuse):

@@ -17,9 +17,10 @@ from zoo_configs.drawing.curves import SUCCESS, load_curve
 from zoo_configs.errors import CommandError
 from zoo_configs.evaluating import EvalOptions, Outcome, check_unwrapped, evaluate_agent
 from zoo_configs.files import whole_file
-from zoo_configs.provenance import commit, describe_arithmetic, versions
+from zoo_configs.provenance import arithmetic, commit
 from zoo_configs.publishing.compact import save_compact
 from zoo_configs.publishing.published import FAILED, SUCCEEDED, Card
+from zoo_configs.training.certificate import read_certificate
 from zoo_configs.training.runs import Run, day, env_folder_name, origin_of
 
 WRAPPERS = ("normalize", "frame_stack", "vec_env_wrapper", "env_wrapper")
@@ -159,6 +160,7 @@ def _card(agent: Agent, run: Run, options: EvalOptions, outcome: Outcome, file: 
         measured={"date": day(time.time()), **here},
         hyperparams=run.experiment.hyperparams,
         gym_packages=run.gym_packages,
+        certificate=_certificate(run),
         **asdict(origin_of(run)),
     )
 
@@ -174,9 +176,12 @@ def _evaluations(run: Run) -> Mapping[str, Any]:
     }
 
 
-def arithmetic() -> dict[str, Any]:
-    """Return what must be equal for a test to repeat exactly: ``arithmetic`` and ``versions`` of a card."""
-    return {"arithmetic": describe_arithmetic(), "versions": versions()}
+def _certificate(run: Run) -> Mapping[str, Any]:
+    """Return the checksums of a run, with the device and the options that they depend on; may be empty."""
+    if not run.certificate.is_file():
+        return {}
+    options = {name: getattr(run.options, name) for name in ("n_timesteps", "vec_env", "num_threads")}
+    return {**read_certificate(run.certificate), "device": run.device, "options": options}
 
 
 def render_readme(card: Card, repo_id: str | None = None) -> str:

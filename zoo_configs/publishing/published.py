@@ -3,7 +3,7 @@
 import dataclasses
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -45,6 +45,7 @@ class Card(Origin):
         ``arithmetic`` and ``versions`` are equal, so are the outcomes
     :param hyperparams: Hyperparameters of the training
     :param gym_packages: Packages that register the environment, in addition to ours
+    :param certificate: Checksums of the first updates (:mod:`zoo_configs.training.certificate`)
     """
 
     env: str
@@ -69,6 +70,7 @@ class Card(Origin):
     measured: Mapping[str, Any]
     hyperparams: Mapping[str, Any]
     gym_packages: tuple[str, ...] = ()
+    certificate: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def label(self) -> str:

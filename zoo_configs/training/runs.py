@@ -22,6 +22,7 @@ from zoo_configs.training.state import RunStatus, run_status
 RESOLVED_FILE = "hyperparams.yml"
 EVALUATIONS_FILE = "evaluations.npz"
 TRAINING_LOG_FILE = "training.csv"
+CERTIFICATE_FILE = "certificate.yml"
 BEST_MODEL_FILE = "best_model.zip"
 CHECKPOINT_FOLDER = "checkpoints"
 SEED_PREFIX = "seed_"
@@ -101,6 +102,11 @@ class Run:
     def training_log(self) -> Path:
         """Values that the algorithm logged with its updates."""
         return self.folder / TRAINING_LOG_FILE
+
+    @property
+    def certificate(self) -> Path:
+        """Checksums of its first updates."""
+        return self.folder / CERTIFICATE_FILE
 
     @property
     def status(self) -> RunStatus | None:
@@ -188,7 +194,7 @@ def find_runs(log_folder: Path, env_id: str | None = None) -> list[Run]:
 
 def clear(run: Run) -> None:
     """Remove the files of a run that was killed before its first checkpoint and starts again."""
-    reports = [run.evaluations_file, run.training_log, run.folder / CURVE_FILE]
+    reports = [run.evaluations_file, run.training_log, run.certificate, run.folder / CURVE_FILE]
     monitors = run.folder.glob("*.monitor.csv")
     for path in (*reports, *monitors, run.best_model, run.last_model):
         path.unlink(missing_ok=True)

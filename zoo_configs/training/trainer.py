@@ -19,6 +19,7 @@ from zoo_configs.environments import load_expert_data
 from zoo_configs.errors import CommandError, reason, refused
 from zoo_configs.experiments.validation import policy_class
 from zoo_configs.files import write_yaml
+from zoo_configs.training.certificate import Certificate
 from zoo_configs.training.evaluation import PeriodicEvaluation, TrainingLog, save_model
 from zoo_configs.training.objects import TRAINER_KEYS, action_noise, build_vec_env, callbacks, parsed
 from zoo_configs.training.runs import Run, env_folder_name
@@ -140,6 +141,8 @@ class Trainer:
         options, found = self.options, callbacks(self.hyperparams.get("callback"))
         if self.progress:
             found.append(TrainingBar())
+        if not options.trained_agent:
+            found.append(Certificate(self.run.certificate))
         if options.eval_freq > 0:
             self.evaluation_env = self._build_env(options.n_eval_envs, for_evaluation=True)
             self.evaluation_env.seed(stream_seed(self.run.seed, SeedStream.EVALUATION))

@@ -1,0 +1,64 @@
+"""Certificates: checksums of the first updates, and the comparison of a repeated training with them."""
+
+import shutil
+
+import pytest
+import yaml
+
+from zoo_configs.cli import main
+from zoo_configs.publishing.published import read_card
+
+
+def change(path, quantity, updates):
+    """Change a checksum of a certificate."""
+    content = yaml.safe_load(path.read_text())
+    [row] = [row for row in content["checksums"] if row["updates"] == updates]
+    row[quantity] = "0" * 16
+    path.write_text(yaml.safe_dump(content))
+
+
+def test_a_repeated_training_has_the_checksums_of_the_run(run_folder, capsys):
+    [*early, last] = yaml.safe_load((run_folder / "certificate.yml").read_text())["checksums"]
+    assert [row["updates"] for row in early] == [0, 1] and last["updates"] >= 10
+    assert early[0]["parameters"] != early[1]["parameters"] != last["parameters"]
+    assert early[1]["replay_buffer"] != last["replay_buffer"]
+    before = sorted(run_folder.rglob("*"))
+    assert main(["verify", str(run_folder), "--no-progress"]) == 0
+    assert f"0, 1, {last['updates']}" in capsys.readouterr().out.splitlines()[-1]
+    assert sorted(run_folder.rglob("*")) == before
+
+
+@pytest.mark.parametrize("quantity", ["observations", "parameters", "replay_buffer"])
+def test_the_first_difference_is_named(quantity, run_folder, tmp_path, refuse):
+    copy = shutil.copytree(run_folder, tmp_path / "run")
+    change(copy / "certificate.yml", quantity, 1)
+    assert f"{quantity} differ after 1 updates" in refuse("verify", str(copy), "--no-progress")
+    assert main(["verify", str(copy), "--updates", "0", "--no-progress"]) == 0
+
+
+def test_other_versions_are_named(run_folder, tmp_path, refuse):
+    copy = shutil.copytree(run_folder, tmp_path / "run")
+    change(copy / "certificate.yml", "parameters", 0)
+    text = (copy / "certificate.yml").read_text()
+    (copy / "certificate.yml").write_text(text.replace("python: ", "python: 2."))
+    assert "versions" in refuse("verify", str(copy), "--no-progress")
+
+
+def test_a_published_agent_can_be_verified(run_folder, toy_id, tmp_path, refuse):
+    assert (
+        main(["push", str(run_folder), "--folder", str(tmp_path / "agent"), "-n", "2", "--no-progress"]) == 0
+    )
+    certificate = read_card(tmp_path / "agent").certificate
+    assert certificate["options"] == {"n_timesteps": 12, "vec_env": "dummy", "num_threads": 1}
+    assert main(["verify", "--published", str(tmp_path / "agent"), "--no-progress"]) == 0
+
+
+def test_mistakes_are_one_line(run_folder, tmp_path, refuse):
+    copy = shutil.copytree(run_folder, tmp_path / "run")
+    (copy / "certificate.yml").write_text("checksums: 1")
+    assert "certificate.yml" in refuse("verify", str(copy))
+    (copy / "certificate.yml").unlink()
+    assert "certificate.yml" in refuse("verify", str(copy))
+    assert "run folder" in refuse("verify")
+    assert "--baseline" in refuse("verify", str(run_folder), "--baseline", "sacfd")
+    assert "'-1'" in refuse("verify", str(run_folder), "--updates", "-1")

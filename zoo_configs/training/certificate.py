@@ -1,0 +1,115 @@
+"""Certificate of a run: checksums of its first updates, with which a repeated training can be compared."""
+
+import hashlib
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch as th
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+
+from sb3_extensions.replay.buffer import ExpertReplayBuffer
+from zoo_configs.errors import CommandError, refused
+from zoo_configs.files import read_yaml, write_yaml
+from zoo_configs.provenance import arithmetic
+
+UPDATES = (0, 1, 10, 50, 100, 200)
+"""Numbers of updates after which the checksums are recorded."""
+CHECKSUMS = "checksums"
+
+Row = Mapping[str, Any]
+"""Number of ``updates``, and the checksum of each quantity after them."""
+
+
+class FirstUpdatesDone(Exception):
+    """End of a training after its first updates."""
+
+
+class Certificate(BaseCallback):
+    """
+    Callback that writes checksums of a model after its first updates.
+
+    Off-policy algorithms are recorded at the first rollout after each number in ``UPDATES``. A resumed run
+    keeps the checksums before its checkpoint.
+
+    :param path: The file
+    :param stop_after: Updates after which :class:`FirstUpdatesDone` is raised, None to continue
+    """
+
+    def __init__(self, path: Path, stop_after: int | None = None) -> None:
+        super().__init__()
+        self.path, self.stop_after = path, stop_after
+        self._rows: list[Row] = []
+
+    def _init_callback(self) -> None:
+        if self.path.is_file():
+            known = read_certificate(self.path)[CHECKSUMS]
+            self._rows = [row for row in known if row["updates"] <= self._updates]
+
+    @property
+    def _updates(self) -> int:
+        return int(getattr(self.model, "_n_updates", 0))
+
+    def _on_rollout_start(self) -> None:
+        recorded = self._rows[-1]["updates"] if self._rows else -1
+        if any(recorded < number <= self._updates for number in UPDATES):
+            self._rows.append({"updates": self._updates, **checksums(self.model)})
+            write_yaml(self.path, {**arithmetic(), CHECKSUMS: self._rows})
+        if self.stop_after is not None and self._updates >= self.stop_after:
+            raise FirstUpdatesDone
+
+    def _on_step(self) -> bool:
+        return True
+
+
+def checksums(model: BaseAlgorithm) -> dict[str, str]:
+    """Return the checksums of a model's next observations, replay buffer of ours, and parameters."""
+    quantities: dict[str, Any] = {"observations": model._last_obs}
+    quantities["parameters"] = model.policy.state_dict()
+    if isinstance(buffer := getattr(model, "replay_buffer", None), ExpertReplayBuffer):
+        stored = buffer.table.__getstate__()  # only rows that are used
+        quantities["replay_buffer"] = [stored["observations"], stored["columns"]]
+    return {name: _checksum(quantities[name]) for name in sorted(quantities)}
+
+
+def _checksum(content: Any) -> str:
+    found = hashlib.sha256()
+    for part in _parts(content):
+        found.update(part)
+    return found.hexdigest()[:16]
+
+
+def _parts(content: Any) -> Iterator[bytes]:
+    """Yield the arrays of nested containers as bytes, sorted by their names."""
+    if isinstance(content, Mapping):
+        for name in sorted(content):
+            yield name.encode()
+            yield from _parts(content[name])
+    elif isinstance(content, list | tuple):
+        for item in content:
+            yield from _parts(item)
+    else:
+        array = content.detach().cpu().numpy() if isinstance(content, th.Tensor) else np.asarray(content)
+        yield f"{array.dtype} {array.shape}".encode()
+        yield array.tobytes()
+
+
+def read_certificate(path: Path) -> dict[str, Any]:
+    """Read a certificate; raise ``CommandError`` if it is missing or damaged."""
+    if not path.is_file():
+        raise CommandError(f"{path} does not exist: this run has no certificate")
+    content: dict[str, Any] = read_yaml(path)
+    with refused(f"{path} cannot be read"):
+        assert all(isinstance(row["updates"], int) for row in content[CHECKSUMS]), "updates must be numbers"
+    return content
+
+
+def first_difference(recorded: Iterable[Row], found: Iterable[Row]) -> tuple[int, str] | None:
+    """Return the number of updates and the name of the first quantity that differs, None if all are equal."""
+    for one, other in zip(recorded, found, strict=False):
+        for name, value in one.items():
+            if other.get(name) != value:
+                return one["updates"], name
+    return None
