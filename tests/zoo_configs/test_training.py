@@ -22,11 +22,14 @@ from zoo_configs.cli import main
 from zoo_configs.drawing.curves import read_training_log
 from zoo_configs.errors import CommandError
 from zoo_configs.experiments.config import ExperimentConfig, resolve
+from zoo_configs.files import write_yaml
 from zoo_configs.training.options import TrainingOptions
 from zoo_configs.training.runs import Run, claim_run_folder, load_run
 from zoo_configs.training.state import State
 from zoo_configs.training.train import TrainingInterrupted, train_experiment
 
+GOLDEN = Path(__file__).with_name("golden_updates.yml")
+"""Certificates of short trainings; the bits depend on processor and versions."""
 RUN_NAME = "BulletArm-CloseLoopToy-v0_1"
 SHORT = TINY["options"]
 REACHING, STACKING = "BulletArm/CloseLoopBlockReaching-v0", "BulletArm/OpenLoopBlockStacking-v0"
@@ -231,6 +234,25 @@ def test_a_baseline_trains(baseline, env_id, more, train_tiny, tmp_path):
     assert train_tiny(tmp_path, *more, *words) == 0
     [run] = tmp_path.glob("*/BulletArm-*_1")
     assert main(["enjoy", str(run), "-n", "1", "--device", "cpu"]) == 0
+    check_updates(baseline, run)
+
+
+def test_the_default_baseline_has_the_recorded_updates(run_folder):
+    check_updates("equi_sacfd", run_folder)
+
+
+def check_updates(baseline, run):
+    """
+    Check that a training has the recorded bits, on a machine like that of the record. Then the results in the
+    documentation are still valid.
+
+    Record others with ``WRITE_GOLDEN_UPDATES=1``.
+    """
+    golden, found = yaml.safe_load(GOLDEN.read_text()), yaml.safe_load((run / "certificate.yml").read_text())
+    if "WRITE_GOLDEN_UPDATES" in os.environ:
+        write_yaml(GOLDEN, {**golden, baseline: found})
+    elif {**found, "checksums": 0} == {**golden[baseline], "checksums": 0}:
+        assert found["checksums"] == golden[baseline]["checksums"]
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from zoo_configs.errors import CommandError, refused
 from zoo_configs.files import read_yaml, write_yaml
 from zoo_configs.provenance import arithmetic
 
-UPDATES = (0, 1, 10, 50, 100, 200)
+UPDATES = (0, 1, 2, 5, 10, 20, 50, 100, 200)
 """Numbers of updates after which the checksums are recorded."""
 CHECKSUMS = "checksums"
 
