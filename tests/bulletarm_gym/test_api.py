@@ -7,7 +7,6 @@ import math
 import pickle
 import sys
 import warnings
-from typing import Any
 
 import gymnasium
 import numpy as np
@@ -17,11 +16,10 @@ import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import TimeAwareObservation
-from rollouts import PICKING, Make, advance, digest, finish, idle, make_env, transcript
+from rollouts import PICKING, advance, digest, finish, idle, make_env, transcript
 
 from bulletarm_gym.control import DeltaMove
 from bulletarm_gym.demonstrations import json_state
-from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.wrappers import UNLIMITED
 
@@ -38,12 +36,12 @@ SB3_IMAGE_WARNINGS = ("has to be `np.uint8`", "are not in [0, 255]", "minimal re
 
 
 @pytest.mark.filterwarnings("error")
-def test_contract(env_id: str) -> None:
+def test_contract(env_id):
     """Gymnasium's checks, an episode that the expert solves, equal seeds, exact states and an image."""
     assert gymnasium.spec(env_id).max_episode_steps is None and json.dumps(gymnasium.spec(env_id).kwargs)
     few = {"num_objects": 5} if "ObjectGrasping" in env_id else {}  # 15 take long to fall
     env = gymnasium.make(env_id, render_mode="rgb_array", render_size=64, **few)
-    core: Any = env.unwrapped
+    core = env.unwrapped
     check_env(core, skip_render_check=True)
     check_with_stable_baselines(core)
     assert any(solves(env, seed) for seed in range(3)), "the expert may fail once"
@@ -58,7 +56,7 @@ def test_contract(env_id: str) -> None:
     assert (digest(*core.reset(seed=5)), digest(*core.step(core.expert_action()))) == first
 
 
-def check_with_stable_baselines(env: ManipulationEnv) -> None:
+def check_with_stable_baselines(env):
     """Run Stable-Baselines3's checks, if it is installed. They warn of depths in metres only."""
     checker = pytest.importorskip("stable_baselines3.common.env_checker")
     with warnings.catch_warnings(record=True) as caught:
@@ -68,7 +66,7 @@ def check_with_stable_baselines(env: ManipulationEnv) -> None:
     assert all(any(known in text for known in SB3_IMAGE_WARNINGS) for text in texts)
 
 
-def solves(env: Any, seed: int) -> bool:
+def solves(env, seed):
     """Check the values of an episode of the expert; return whether it succeeds."""
     observation, info = env.reset(seed=seed)
     keys = info.keys()
@@ -97,7 +95,7 @@ def solves(env: Any, seed: int) -> bool:
 @pytest.mark.filterwarnings("error")
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="displays are found on Linux only")
 @pytest.mark.parametrize("display", ["", ":0"])
-def test_window_needs_a_display(display: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_window_needs_a_display(display, monkeypatch):
     monkeypatch.setenv("DISPLAY", display)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     env = make_env(PICKING, render_mode="rgb_array", obs_size=16)
@@ -114,25 +112,25 @@ def test_window_needs_a_display(display: str, monkeypatch: pytest.MonkeyPatch) -
 
 
 @pytest.mark.parametrize("name", ["max_steps", "max_episode_steps"])
-def test_success_at_the_time_limit_terminates(make: Make, name: str) -> None:
+def test_success_at_the_time_limit_terminates(make, name):
     free = make(REACHING)
     free.reset(seed=0)
     _, length = finish(free)
     limited = gymnasium.make(REACHING, **{name: length})
     for env in (limited, gymnasium.make(EnvSpec.from_json(limited.spec.to_json()))):
         env.reset(seed=0)
-        core: Any = env.unwrapped
+        core = env.unwrapped
         results = [env.step(core.expert_action())[1:4] for _ in range(length)]
         assert results[-1] == (1.0, True, False)
 
 
-def test_free_object_outside_the_workspace_ends_the_episode(typical_env: ManipulationEnv) -> None:
+def test_free_object_outside_the_workspace_ends_the_episode(typical_env):
     env = typical_env
     (_, high), (x, y), side = env.config.workspace[0], env.config.centre, env.config.workspace_size
     env.reset(seed=0)
     state, item = env.get_state(), next(item for item in env.scene if item.spec.mass > 0.0)
 
-    def step_from(*position: float) -> Any:
+    def step_from(*position):
         poses = list(state.world.poses)
         poses[item.body.index] = Pose(position)
         world = dataclasses.replace(state.world, poses=tuple(poses))
@@ -148,7 +146,7 @@ def test_free_object_outside_the_workspace_ends_the_episode(typical_env: Manipul
 
 
 @pytest.mark.parametrize(("check", "valid"), [("point", True), ("bounding_box", False)])
-def test_bounding_box_is_stricter_than_point(make: Make, check: str, valid: bool) -> None:
+def test_bounding_box_is_stricter_than_point(make, check, valid):
     env = make(PICKING, workspace_check=check)
     assert env.reset(seed=0)[1]["is_valid"]
     env.scene["cube"].place(Pose((0.59, 0.1, 0.025)))
@@ -156,7 +154,7 @@ def test_bounding_box_is_stricter_than_point(make: Make, check: str, valid: bool
 
 
 @pytest.mark.parametrize(("x", "valid"), [(0.595, True), (0.605, False)])
-def test_success_counts_only_in_a_valid_scene(make: Make, x: float, valid: bool) -> None:
+def test_success_counts_only_in_a_valid_scene(make, x, valid):
     env = make(REACHING)
     env.reset(seed=0)
     env.scene["cube"].place(Pose((0.35, 0.1, 0.025)))
@@ -172,7 +170,7 @@ def test_success_counts_only_in_a_valid_scene(make: Make, x: float, valid: bool)
 # Actions
 
 
-def test_form_of_an_action_does_not_matter(typical_env: ManipulationEnv) -> None:
+def test_form_of_an_action_does_not_matter(typical_env):
     """Numbers outside the box are clipped, and the action is not changed."""
     action = [0.5, -3.0, 0.125, -1.0, 0.75, 0.25, -0.5][: typical_env.action_space.shape[0]]
     array = np.array(action, np.float32)
@@ -188,7 +186,7 @@ def test_form_of_an_action_does_not_matter(typical_env: ManipulationEnv) -> None
     [[math.nan] * 5, [0, 0, -math.inf, 0, 0], np.zeros(3), np.zeros((1, 5)), 0.0, "open", None, [[1, 2], 0]],
     ids=str,
 )
-def test_step_rejects_other_actions_and_does_nothing(picking: ManipulationEnv, action: Any) -> None:
+def test_step_rejects_other_actions_and_does_nothing(picking, action):
     picking.reset(seed=0)
     state = picking.get_state()
     with pytest.raises(ValueError, match="action must be"):
@@ -196,7 +194,7 @@ def test_step_rejects_other_actions_and_does_nothing(picking: ManipulationEnv, a
     assert picking.get_state() == state
 
 
-def test_render_without_a_mode_warns(picking: ManipulationEnv) -> None:
+def test_render_without_a_mode_warns(picking):
     picking.reset(seed=0)
     with pytest.warns(UserWarning, match=r"render_mode must be set for render\(\), got None"):
         assert picking.render() is None
@@ -206,12 +204,12 @@ def test_render_without_a_mode_warns(picking: ManipulationEnv) -> None:
 
 
 @pytest.mark.parametrize("env_id", [PICKING, "BulletArm/CloseLoopObjectGrasping-v0"])
-def test_spec_keeps_the_parameters_as_json(env_id: str) -> None:
+def test_spec_keeps_the_parameters_as_json(env_id):
     registered = gymnasium.spec(env_id).to_json()
     workspace = np.array([[0.32, 0.6], [-0.14, 0.14], [0.01, 0.25]])
-    env: Any = gymnasium.make(env_id, workspace=workspace, max_steps=np.int64(7), fast_mode=np.True_)
+    env = gymnasium.make(env_id, workspace=workspace, max_steps=np.int64(7), fast_mode=np.True_)
     assert env.unwrapped.spec.kwargs["workspace"] == workspace.tolist()
-    again: Any = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
+    again = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
     assert again.unwrapped.config == env.unwrapped.config and again.spec == env.spec
     assert digest(*again.reset(seed=2)) == digest(*env.reset(seed=2))
     assert gymnasium.spec(env_id).to_json() == registered
@@ -230,7 +228,7 @@ def test_spec_keeps_the_parameters_as_json(env_id: str) -> None:
     ],
     ids=str,
 )
-def test_spec_has_the_number_of_steps_of_an_episode(first: Any, then: Any, steps: int) -> None:
+def test_spec_has_the_number_of_steps_of_an_episode(first, then, steps):
     """Made with some parameters, and again from its spec with others."""
     made = gymnasium.make(PICKING, obs_size=16, **first)
     again = gymnasium.make(EnvSpec.from_json(made.spec.to_json()), **then)
@@ -242,7 +240,7 @@ def test_spec_has_the_number_of_steps_of_an_episode(first: Any, then: Any, steps
         assert ends == [(False, False)] * (len(ends) - 1) + [(False, steps <= 60)]
 
 
-def test_measure_adds_up_seconds() -> None:
+def test_measure_adds_up_seconds():
     env = make_env(PICKING, obs_size=16)
     env.reset(seed=0)
     seconds = env.measure()
@@ -251,7 +249,7 @@ def test_measure_adds_up_seconds() -> None:
     assert seconds.keys() == {"physics", "rendering"} and min(seconds.values()) > 0.0
 
 
-def test_no_step_after_the_end(picking: ManipulationEnv) -> None:
+def test_no_step_after_the_end(picking):
     picking.reset(seed=0)
     finish(picking)
     at_the_end = picking.get_state()
@@ -265,7 +263,7 @@ def test_no_step_after_the_end(picking: ManipulationEnv) -> None:
         assert picking.get_state() == at_the_end
 
 
-def test_time_limit_truncates(make: Make, typical_id: str) -> None:
+def test_time_limit_truncates(make, typical_id):
     env = make(typical_id, max_steps=2)
     env.reset(seed=0)
     if env.task.single_step:
@@ -276,10 +274,10 @@ def test_time_limit_truncates(make: Make, typical_id: str) -> None:
         env.step(idle(env))
 
 
-def test_environment_needs_a_reset_and_rejects_calls_after_close() -> None:
+def test_environment_needs_a_reset_and_rejects_calls_after_close():
     """PyBullet gives the number of a closed server to the next one."""
     env = gymnasium.make(PICKING, obs_size=16)
-    inner: Any = env.unwrapped
+    inner = env.unwrapped
     action = np.zeros(5, np.float32)
     calls = (lambda: inner.step(action), inner.expert_action, inner.get_state)
     for call in calls:
@@ -305,18 +303,18 @@ def test_environment_needs_a_reset_and_rejects_calls_after_close() -> None:
 # Memory
 
 
-def servers() -> int:
+def servers():
     gc.collect()
     return sum(bool(pybullet.isConnected(number)) for number in range(MAX_SERVERS))
 
 
-def used() -> int:
+def used():
     gc.collect()
     return int(psutil.Process().memory_info().rss)
 
 
-def test_resets_and_states_do_not_grow(typical_env: ManipulationEnv) -> None:
-    def play(episodes: int) -> None:
+def test_resets_and_states_do_not_grow(typical_env):
+    def play(episodes):
         for _ in range(episodes):
             typical_env.reset()
             typical_env.step(typical_env.expert_action())
@@ -328,7 +326,7 @@ def test_resets_and_states_do_not_grow(typical_env: ManipulationEnv) -> None:
     assert used() - before < 2.5 * MEGABYTE
 
 
-def test_server_is_released_by_close_by_the_collector_and_after_an_error() -> None:
+def test_server_is_released_by_close_by_the_collector_and_after_an_error():
     before = servers()
     env = make_env(PICKING, obs_size=32)
     env.reset(seed=0)

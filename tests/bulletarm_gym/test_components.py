@@ -5,7 +5,6 @@ import subprocess
 import sys
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import gymnasium
 import numpy as np
@@ -13,7 +12,7 @@ import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AsyncVectorEnv
-from rollouts import PICKING, Make, advance, digest, make_env, transcript
+from rollouts import PICKING, advance, digest, make_env, transcript
 
 import bulletarm_gym
 from bulletarm_gym import registry
@@ -30,14 +29,14 @@ TASK = "bulletarm_gym.tasks.picking:BlockPicking"
 
 
 @pytest.fixture(autouse=True)
-def no_registrations(monkeypatch: pytest.MonkeyPatch, own_registrations: None) -> None:
+def no_registrations(monkeypatch, own_registrations):
     """Remove all registrations of a test."""
     for one in (registry.ROBOTS, registry.OBJECTS, registry.SENSORS, registry.SURFACES, registry.CONTROLS):
         monkeypatch.setattr(one, "paths", {})
 
 
 @pytest.fixture
-def mine() -> str:
+def mine():
     """Register one component of each kind; return the task's id."""
     bulletarm_gym.register_robot("mine", "my_parts:arm")
     bulletarm_gym.register_object("tile", "my_parts:brick")
@@ -47,14 +46,14 @@ def mine() -> str:
     return bulletarm_gym.register_task("Mine", "my_parts:Picking", "back_wards", "high_ground")
 
 
-ENVIRONMENTS: dict[str, dict[str, Any]] = {
+ENVIRONMENTS = {
     PICKING: {"surface": "high_ground", "control": "back_wards", "observation": ["heightmap", "zero"]},
     GRASPING: {"object_set": ["tile", "cube", "tile"], "num_objects": 2, "object_scale_range": 0.5},
     "BulletArm/BackWardsHighGroundMine-v0": {"robot": "mine"},
 }
 
 
-def own_sensor(name: str, **parameters: Any) -> dict[str, Any]:
+def own_sensor(name, **parameters):
     """Return the parameters of an environment with a sensor of the user's module."""
     entry = {"name": "mine", "sensor": f"my_parts:{name}", **parameters}
     return {"observation": [entry, "holding"], "obs_size": 16}
@@ -62,7 +61,7 @@ def own_sensor(name: str, **parameters: Any) -> dict[str, Any]:
 
 @pytest.mark.usefixtures("mine")
 @pytest.mark.parametrize("env_id", ENVIRONMENTS)
-def test_registered_components_are_stored_by_their_paths(env_id: str) -> None:
+def test_registered_components_are_stored_by_their_paths(env_id):
     env = gymnasium.make(env_id, obs_size=16, **ENVIRONMENTS[env_id]).unwrapped
     assert isinstance(env, ManipulationEnv) and "my_parts:" in repr(env.spec)
     if env_id == GRASPING:
@@ -78,7 +77,7 @@ def test_registered_components_are_stored_by_their_paths(env_id: str) -> None:
     assert transcript(copy, 2, seed=1) == transcript(env, 2, seed=1)
 
 
-def test_spawned_workers_find_registered_components(mine: str) -> None:
+def test_spawned_workers_find_registered_components(mine):
     parameters = {"robot": "mine", "observation": ["heightmap", "zero"], "obs_size": 16}
     make = partial(gymnasium.make, f"bulletarm_gym:{mine}", **parameters)
     vector = AsyncVectorEnv([make], context="spawn")
@@ -92,7 +91,7 @@ def test_spawned_workers_find_registered_components(mine: str) -> None:
 
 @pytest.mark.usefixtures("mine")
 @pytest.mark.parametrize(("control", "prefix"), [("close_loop", "CloseLoop"), ("open_loop", "OpenLoop")])
-def test_ids_name_control_and_surface(control: str, prefix: str) -> None:
+def test_ids_name_control_and_surface(control, prefix):
     for surface, word in (("high_ground", "HighGround"), ("ramp", "Ramp"), ("tray", "Tray"), ("flat", "")):
         env_id = bulletarm_gym.register_task("Mine", TASK, control, surface)
         assert env_id == f"BulletArm/{prefix}{word}Mine-v0"
@@ -101,7 +100,7 @@ def test_ids_name_control_and_surface(control: str, prefix: str) -> None:
         del gymnasium.registry[env_id]
 
 
-def test_sloping_surface_has_actions_with_three_rotations() -> None:
+def test_sloping_surface_has_actions_with_three_rotations():
     path = "my_parts:Hilly"
     env = make_env("BulletArm/OpenLoopBlockStacking-v0", surface=path, obs_size=16)
     assert env.config.action_sequence == "pxyzrrr"
@@ -128,12 +127,12 @@ LOCAL = type("Local", (FlatSurface,), {"__qualname__": "test.<locals>.Local"})
     ],
 )
 @pytest.mark.usefixtures("mine")
-def test_registration_is_refused(kind: str, name: str, component: Any, reason: str) -> None:
+def test_registration_is_refused(kind, name, component, reason):
     with pytest.raises(ValueError, match=reason):
         getattr(bulletarm_gym, f"register_{kind}")(name, component)
 
 
-def test_task_needs_a_registered_control_and_surface() -> None:
+def test_task_needs_a_registered_control_and_surface():
     for name, value in (("surface", "moon"), ("control", "remote")):
         with pytest.raises(ValueError, match=f"^{name} must be one of .*, got '{value}'"):
             bulletarm_gym.register_task("Mine", TASK, **{name: value})
@@ -172,12 +171,12 @@ def test_task_needs_a_registered_control_and_surface() -> None:
     ],
     ids=str,
 )
-def test_component_is_rejected_with_its_parameter(parameters: dict[str, Any], reason: str) -> None:
+def test_component_is_rejected_with_its_parameter(parameters, reason):
     with pytest.raises(ValueError, match=f"^{reason}"):
         gymnasium.make(PICKING, **{"obs_size": 16, **parameters}).reset(seed=0)
 
 
-def test_object_set_is_rejected_with_the_object() -> None:
+def test_object_set_is_rejected_with_the_object():
     for kind, reason in (
         ("hammer", "object_set: kind must .*, got 'hammer'"),
         ("my_parts:nothing", "object_set: .*BodySpec, got a NoneType"),
@@ -219,7 +218,7 @@ sys.stdout.buffer.write(pickle.dumps(env.unwrapped))
 """
 
 
-def test_components_of_a_notebook_work_in_their_process() -> None:
+def test_components_of_a_notebook_work_in_their_process():
     """Components of ``__main__`` are usable there; another process raises an error with the reason."""
     child = subprocess.run([sys.executable, "-c", NOTEBOOK], capture_output=True, check=True, cwd=HERE)
     with pytest.raises(ValueError, match=r"'__main__:Mine' cannot be imported.*Define it in a module"):
@@ -235,14 +234,14 @@ ALL = ["heightmap", "color", "segmentation", *CAMERAS, "joint_state", "holding"]
 
 
 @pytest.mark.parametrize(("env_id", "control"), [(PICKING, "close_loop"), (STACKING, "open_loop")])
-def test_presets_are_lists(make: Make, env_id: str, control: str) -> None:
+def test_presets_are_lists(make, env_id, control):
     for preset, sensors in PRESETS[control].items():
         named, listed = (make(env_id, observation=choice) for choice in (preset, sensors))
         assert named.observation_space == listed.observation_space
         assert transcript(named, 2, seed=1) == transcript(listed, 2, seed=1)
 
 
-def test_lists_are_json_and_keep_their_order(make: Make) -> None:
+def test_lists_are_json_and_keep_their_order(make):
     env = make(PICKING, observation=("holding", {"name": "state"}, "heightmap"))
     assert list(env.reset(seed=0)[0]) == ["holding", "state", "heightmap"]
     assert env.spec.kwargs["observation"] == ["holding", {"name": "state"}, "heightmap"]
@@ -251,7 +250,7 @@ def test_lists_are_json_and_keep_their_order(make: Make) -> None:
 
 
 @pytest.mark.parametrize("env_id", [PICKING, STACKING])
-def test_spaces_and_states_of_all_sensors(make: Make, env_id: str) -> None:
+def test_spaces_and_states_of_all_sensors(make, env_id):
     env, other = (make(env_id, instance, observation=ALL) for instance in range(2))
     check_env(env, skip_render_check=True)
     shapes = {name: space.shape for name, space in env.observation_space.items()}
@@ -264,7 +263,7 @@ def test_spaces_and_states_of_all_sensors(make: Make, env_id: str) -> None:
     assert transcript(env, 2) == transcript(other, 2)
 
 
-def test_actions_do_not_depend_on_what_is_observed(make: Make) -> None:
+def test_actions_do_not_depend_on_what_is_observed(make):
     """Their heights follow from the heightmap, whether or not the agent observes it."""
     env, plain = make(STACKING, observation=["holding"]), make(STACKING)
     for each in (env, plain):
@@ -276,7 +275,7 @@ def test_actions_do_not_depend_on_what_is_observed(make: Make) -> None:
         assert env.get_state().world == plain.get_state().world
 
 
-def test_state_fits_environments_that_observe_less(make: Make) -> None:
+def test_state_fits_environments_that_observe_less(make):
     env, less = make(STACKING), make(STACKING, observation=["heightmap", "holding"])
     env.reset(seed=0)
     env.step(env.expert_action())
@@ -286,7 +285,7 @@ def test_state_fits_environments_that_observe_less(make: Make) -> None:
         env.set_state(less.get_state())
 
 
-def test_actions_use_the_scene_as_it_is(make: Make) -> None:
+def test_actions_use_the_scene_as_it_is(make):
     """A user may have moved something since the last observation."""
     env = make(STACKING)
     env.reset(seed=0)
@@ -298,7 +297,7 @@ def test_actions_use_the_scene_as_it_is(make: Make) -> None:
     assert observation["holding"] == 1.0 and observation["in_hand"].max() > 0.02
 
 
-def test_joint_state_gives_the_tool_pose(make: Make) -> None:
+def test_joint_state_gives_the_tool_pose(make):
     env = make(PICKING, observation=["joint_state"])
     env.reset(seed=0)
     observation, *_ = env.step([1.0, 0.5, 0.5, -0.5, 0.5])
@@ -337,13 +336,13 @@ def test_joint_state_gives_the_tool_pose(make: Make) -> None:
     ],
     ids=str,
 )
-def test_observation_must_be_valid(env_id: str, observation: Any, words: str) -> None:
+def test_observation_must_be_valid(env_id, observation, words):
     with pytest.raises(ParameterError, match=r"^observation") as error:
         make_env(env_id, observation=observation)
     assert words in str(error.value)
 
 
-def test_labels_need_the_orthographic_view() -> None:
+def test_labels_need_the_orthographic_view():
     for name in ("color", "segmentation"):
         with pytest.raises(ParameterError, match=r"view must be .*, got 'point_cloud'"):
             make_env(PICKING, view="point_cloud", observation=["heightmap", name])
@@ -354,7 +353,7 @@ def test_labels_need_the_orthographic_view() -> None:
 DOWN = [1.0, 0.0, 0.0, -0.5, 0.0]
 
 
-def test_own_sensor_reads_and_remembers() -> None:
+def test_own_sensor_reads_and_remembers():
     env = gymnasium.make(PICKING, **own_sensor("Count", start=5)).unwrapped
     for _ in range(2):
         assert env.reset(seed=0)[0]["mine"].tolist() == [5.0, 0.0]
@@ -369,7 +368,7 @@ def test_own_sensor_reads_and_remembers() -> None:
         assert digest(each.observe()) == digest(observation)
 
 
-def test_labels_of_an_earlier_scene_are_not_available() -> None:
+def test_labels_of_an_earlier_scene_are_not_available():
     env = gymnasium.make(PICKING, **own_sensor("Late"))
     env.reset(seed=0)
     with pytest.raises(RuntimeError, match="labels must be read before the scene changes"):

@@ -2,7 +2,6 @@
 
 import pickle
 import re
-from typing import Any
 
 import gymnasium
 import numpy as np
@@ -23,15 +22,15 @@ TASK = TaskDefaults(num_objects=2, max_steps=50, object_scale=0.8, allowed_objec
 WORKSPACE = [[0.3, 0.6], [-0.15, 0.15], [0.01, 0.25]]
 
 
-def config(**parameters: Any) -> EnvConfig:
+def config(**parameters):
     return EnvConfig.of(Context("close_loop", TASK), parameters)
 
 
-def open_loop(surface: str = "flat", **parameters: Any) -> EnvConfig:
+def open_loop(surface="flat", **parameters):
     return EnvConfig.of(Context("open_loop", TASK, surface), parameters)
 
 
-def test_defaults_are_the_papers() -> None:
+def test_defaults_are_the_papers():
     made = config()
     assert made.workspace == WORKSPACE
     assert (made.robot, made.action_sequence, made.max_steps, made.obs_size) == ("kuka", "pxyzr", 50, 128)
@@ -45,7 +44,7 @@ def test_defaults_are_the_papers() -> None:
     ("surface", "sequence", "in_hand"),
     [("flat", "pxyr", 24), ("tray", "pxyr", 24), ("ramp", "pxyzrrr", 24), ("bump", "pxyzrrr", 40)],
 )
-def test_open_loop_defaults_are_the_papers(surface: str, sequence: str, in_hand: int) -> None:
+def test_open_loop_defaults_are_the_papers(surface, sequence, in_hand):
     made = open_loop(surface)
     assert made.workspace == [[0.25, 0.65], [-0.2, 0.2], [0.0, 1.0]]
     assert (made.action_sequence, made.in_hand_size, made.obs_size) == (sequence, in_hand, 128)
@@ -53,7 +52,7 @@ def test_open_loop_defaults_are_the_papers(surface: str, sequence: str, in_hand:
     assert open_loop(surface, **made.parameters()) == made
 
 
-OPEN_LOOP_WRONG: dict[str, list[Any]] = {
+OPEN_LOOP_WRONG = {
     "action_sequence": ["pxyzr", "pxyrr", "xyz", "px", "pxyzrrrr", "", None],
     "half_rotation": [1, "yes", None],
     "in_hand_size": [0, 7, 300, 24.0, True],
@@ -64,7 +63,7 @@ OPEN_LOOP_WRONG: dict[str, list[Any]] = {
 
 
 @pytest.mark.parametrize("name", OPEN_LOOP_WRONG)
-def test_wrong_open_loop_values_are_refused(name: str) -> None:
+def test_wrong_open_loop_values_are_refused(name):
     for value in OPEN_LOOP_WRONG[name]:
         with pytest.raises(ParameterError, match=rf"^{name} must .*, got ") as error:
             open_loop(**{name: value})
@@ -75,7 +74,7 @@ def test_wrong_open_loop_values_are_refused(name: str) -> None:
     ("name", "hint"),
     [("obs_sise", "'obs_size'"), ("frameskip", "robot, action_sequence, "), ("half_rotation", "open-loop")],
 )
-def test_unknown_parameter_is_a_value_and_a_type_error(name: str, hint: str) -> None:
+def test_unknown_parameter_is_a_value_and_a_type_error(name, hint):
     """Libraries catch the type; Gymnasium constructs the error again."""
     with pytest.raises(ParameterError, match=f"^{name} must .*{hint}") as error:
         config(**{name: 1})
@@ -87,7 +86,7 @@ def test_unknown_parameter_is_a_value_and_a_type_error(name: str, hint: str) -> 
         assert isinstance(raised.value, ValueError) and PICKING in str(raised.value)
 
 
-WRONG: dict[str, list[Any]] = {
+WRONG = {
     "robot": [1, None],
     "randomization": [1, "heavy", ["light"], {"weight": 1.0}, {1: 1.0}],
     "action_sequence": ["pxy", "pxyzrr", "", "PXYZR", 5, None, ["p", "x", "y", "z", "r"]],
@@ -122,18 +121,18 @@ WRONG: dict[str, list[Any]] = {
 
 
 @pytest.mark.parametrize("name", WRONG)
-def test_wrong_values_are_refused(name: str) -> None:
+def test_wrong_values_are_refused(name):
     for value in WRONG[name]:
         with pytest.raises(ParameterError) as error:
             config(**{name: value})
         assert str(error.value).startswith(f"{name} must be ") and ", got " in str(error.value)
 
 
-def test_every_parameter_is_tested_with_wrong_values() -> None:
+def test_every_parameter_is_tested_with_wrong_values():
     assert {*WRONG, *OPEN_LOOP_WRONG} == set(PARAMETERS)
 
 
-def test_smallest_workspace_is_accepted_despite_rounding() -> None:
+def test_smallest_workspace_is_accepted_despite_rounding():
     for x in ([0.4, 0.44], [0.3, 0.34], [0.6, 0.64]):
         assert config(workspace=[x, [-0.02, 0.02], [0.01, 0.25]]).workspace[0] == x
 
@@ -147,21 +146,21 @@ def test_smallest_workspace_is_accepted_despite_rounding() -> None:
         ("open_loop", [0.05, 0.5], 0.45),
     ],
 )
-def test_default_home_height_is_within_the_workspace(control: str, z: list[float], height: float) -> None:
+def test_default_home_height_is_within_the_workspace(control, z, height):
     assert default_home_height(control, [*WORKSPACE[:2], z]) == pytest.approx(height)
 
 
 # Combinations of parameters
 
 
-def square(low: float, high: float, *z: float) -> list[list[float]]:
+def square(low, high, *z):
     """Return a workspace between two x, with y around 0."""
     half = (high - low) / 2.0
     return [[low, high], [-half, half], list(z)]
 
 
 LOW = square(0.3, 0.6, 0.01, 0.11)
-COMBINATIONS: list[tuple[str, dict[str, Any], str | None]] = [
+COMBINATIONS = [
     ("CloseLoopBlockPicking", {"num_objects": 3}, "num_objects"),
     ("CloseLoopBlockPulling", {"num_objects": 1}, "num_objects"),
     ("CloseLoopBlockPicking", {"robot": "nobody"}, "robot"),
@@ -193,9 +192,7 @@ COMBINATIONS: list[tuple[str, dict[str, Any], str | None]] = [
 
 
 @pytest.mark.parametrize(("name", "parameters", "refused"), COMBINATIONS, ids=str)
-def test_combination_is_accepted_or_the_parameter_is_named(
-    name: str, parameters: dict[str, Any], refused: str | None
-) -> None:
+def test_combination_is_accepted_or_the_parameter_is_named(name, parameters, refused):
     if refused is None:
         make_env(f"BulletArm/{name}-v0", obs_size=16, **parameters).close()
         return
@@ -205,7 +202,7 @@ def test_combination_is_accepted_or_the_parameter_is_named(
 
 
 NARROW = [[0.36, 0.6], [-0.09, 0.15], [0.01, 0.25]]
-ROOM: list[tuple[str, dict[str, Any], str | None]] = [
+ROOM = [
     ("CloseLoopBlockPulling", {"object_scale_range": [0.8, 0.96]}, None),
     ("CloseLoopBlockPulling", {"workspace": NARROW}, None),
     ("CloseLoopBlockStacking", {"num_objects": 4, "object_scale_range": [0.8, 1.1]}, None),
@@ -219,9 +216,7 @@ ROOM: list[tuple[str, dict[str, Any], str | None]] = [
 
 
 @pytest.mark.parametrize(("name", "parameters", "refused"), ROOM, ids=str)
-def test_reset_finds_space_or_names_the_parameter(
-    name: str, parameters: dict[str, Any], refused: str | None
-) -> None:
+def test_reset_finds_space_or_names_the_parameter(name, parameters, refused):
     env = make_env(f"BulletArm/{name}-v0", obs_size=16, **parameters)
     if refused is None:
         for seed in range(10):
@@ -248,12 +243,12 @@ def test_reset_finds_space_or_names_the_parameter(
     ],
     ids=str,
 )
-def test_array_likes_are_kept_as_plain_values(name: str, given: Any, kept: Any) -> None:
+def test_array_likes_are_kept_as_plain_values(name, given, kept):
     value = getattr(config(**{name: given}), name)
     assert value == kept and type(value) is type(kept)
 
 
-def test_scales_are_a_grid_with_both_ends() -> None:
+def test_scales_are_a_grid_with_both_ends():
     assert config(object_scale_range=[0.6, 0.7]).scales == [0.6, 0.62, 0.64, 0.66, 0.68, 0.7]
     assert config(object_scale_range=0.6).scales == [0.6]
     for low, high in ((0.6, 0.63), (0.6, 0.61), (0.5, 0.535)):
@@ -262,7 +257,7 @@ def test_scales_are_a_grid_with_both_ends() -> None:
         assert scales == sorted(set(scales)), "each once, in order, none beyond the end"
 
 
-def test_configurations_share_no_values() -> None:
+def test_configurations_share_no_values():
     for workspace in ([list(row) for row in WORKSPACE], np.array(WORKSPACE)):
         made = config(workspace=workspace)
         made.workspace[0][0] = 9.0

@@ -7,7 +7,6 @@ import pickle
 import sys
 from contextlib import closing
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -16,7 +15,6 @@ from rollouts import PICKING, idle
 
 from bulletarm_gym.demonstrations import (
     Demonstrations,
-    Episode,
     ReplayError,
     collect,
     load,
@@ -31,7 +29,7 @@ GRASPING = "BulletArm/CloseLoopObjectGrasping-v0"
 SMALL = {"obs_size": 32}
 QUANTUM = 0.5e-4 + 1e-7
 """Half of a count of stored heights (m), and the rounding to float32."""
-KINDS: dict[str, tuple[str, str, dict[str, Any]]] = {
+KINDS = {
     "image": (PICKING, "waypoint", SMALL),
     "state": (PICKING, "waypoint", {"observation": "state"}),
     "deconstruction": (STACKING, "deconstruction", {"num_objects": 2}),
@@ -39,23 +37,23 @@ KINDS: dict[str, tuple[str, str, dict[str, Any]]] = {
 
 
 @pytest.fixture(scope="module")
-def picked() -> Demonstrations:
+def picked():
     """Two episodes with images."""
     return collect(PICKING, 2, seed=3, env_kwargs=SMALL)
 
 
 @pytest.fixture(scope="module", params=KINDS)
-def basket(request: pytest.FixtureRequest) -> Demonstrations:
+def basket(request):
     """Two episodes of each kind."""
     env_id, planner, env_kwargs = KINDS[request.param]
     return collect(env_id, 2, planner, seed=3, env_kwargs=env_kwargs)
 
 
-def core_of(demonstrations: Demonstrations) -> Any:
+def core_of(demonstrations):
     return demonstrations.make_env().unwrapped
 
 
-def content(episode: Episode) -> list[Any]:
+def content(episode):
     arrays = [*episode.observations.values(), episode.actions, episode.rewards, episode.terminations]
     return [episode.seed, episode.initial_state, *(array.tobytes() for array in arrays)]
 
@@ -63,7 +61,7 @@ def content(episode: Episode) -> list[Any]:
 # Collection
 
 
-def test_episodes_are_what_the_environment_does(basket: Demonstrations) -> None:
+def test_episodes_are_what_the_environment_does(basket):
     assert len(basket) == 2 and basket.attempts >= 2
     with closing(core_of(basket)) as env:
         for episode in basket:
@@ -83,7 +81,7 @@ def test_episodes_are_what_the_environment_does(basket: Demonstrations) -> None:
                 assert values.dtype == np.float32
 
 
-def test_equal_seeds_give_equal_files(picked: Demonstrations) -> None:
+def test_equal_seeds_give_equal_files(picked):
     assert collect(PICKING, 2, seed=3, env_kwargs=SMALL).image == picked.image
     with closing(core_of(picked)) as env:
         for episode in picked:
@@ -91,10 +89,10 @@ def test_equal_seeds_give_equal_files(picked: Demonstrations) -> None:
             np.testing.assert_allclose(episode.observations["heightmap"][0], heights, rtol=0.0, atol=QUANTUM)
 
 
-def test_only_successes_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_successes_are_kept(monkeypatch):
     expert, reset, resets = ManipulationEnv.expert_action, ManipulationEnv.reset, []
 
-    def counted(env: ManipulationEnv, **options: Any) -> Any:
+    def counted(env, **options):
         resets.append(1)
         return reset(env, **options)
 
@@ -107,7 +105,7 @@ def test_only_successes_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
         collect(PICKING, 1, seed=0, env_kwargs={"max_steps": 2}, max_attempts=3)
 
 
-def test_noise_changes_actions(picked: Demonstrations) -> None:
+def test_noise_changes_actions(picked):
     noisy = collect(PICKING, 1, seed=3, noise=0.2, env_kwargs=SMALL)
     assert np.abs(noisy[0].actions).max() <= 1.0 and noisy[0].actions.dtype == np.float32
     assert not np.array_equal(noisy[0].actions[0], picked[0].actions[0])
@@ -134,12 +132,12 @@ def test_noise_changes_actions(picked: Demonstrations) -> None:
         ((PICKING, 1), {"noise": -0.1}, "^noise must be .*, got -0.1"),
     ],
 )
-def test_collect_rejects_other_arguments(arguments: Any, options: dict[str, Any], message: str) -> None:
+def test_collect_rejects_other_arguments(arguments, options, message):
     with pytest.raises(ValueError, match=message):
         collect(*arguments, **options)
 
 
-def test_path_must_not_be_a_folder(tmp_path: Path) -> None:
+def test_path_must_not_be_a_folder(tmp_path):
     with pytest.raises(ValueError, match=f"^path must be a file such as .*, got the folder {tmp_path}"):
         collect(PICKING, 1, path=tmp_path)
 
@@ -147,7 +145,7 @@ def test_path_must_not_be_a_folder(tmp_path: Path) -> None:
 # Files
 
 
-def test_files_and_slices_keep_everything(basket: Demonstrations, tmp_path: Path) -> None:
+def test_files_and_slices_keep_everything(basket, tmp_path):
     path = tmp_path / "new" / "demonstrations.h5"
     basket.save(path)
     assert [entry.name for entry in path.parent.iterdir()] == [path.name]
@@ -166,7 +164,7 @@ def test_files_and_slices_keep_everything(basket: Demonstrations, tmp_path: Path
         basket[2]
 
 
-def test_any_reader_of_hdf5_finds_everything(basket: Demonstrations) -> None:
+def test_any_reader_of_hdf5_finds_everything(basket):
     with h5py.File(io.BytesIO(basket.image)) as file:
         for number, episode in enumerate(basket):
             group = file[f"episodes/{number}"]
@@ -179,7 +177,7 @@ def test_any_reader_of_hdf5_finds_everything(basket: Demonstrations) -> None:
                 assert stored.compression == "gzip"
 
 
-def test_files_find_a_folder_of_objects_after_a_move(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_files_find_a_folder_of_objects_after_a_move(tmp_path, monkeypatch):
     objects = tmp_path / "objects"
     objects.mkdir()
     (objects / "box.obj").write_text(wavefront([Piece(Box((0.04, 0.05, 0.04)))]))
@@ -196,10 +194,10 @@ def test_files_find_a_folder_of_objects_after_a_move(tmp_path: Path, monkeypatch
         assert list(replay(moved, 0, env))
 
 
-def test_interrupted_collections_write_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupted_collections_write_nothing(tmp_path, monkeypatch):
     step, calls = ManipulationEnv.step, []
 
-    def interrupted(env: ManipulationEnv, action: Any) -> Any:
+    def interrupted(env, action):
         calls.append(action)
         if len(calls) > 10:
             raise KeyboardInterrupt
@@ -211,11 +209,11 @@ def test_interrupted_collections_write_nothing(tmp_path: Path, monkeypatch: pyte
     assert len(calls) > 10 and not list(tmp_path.iterdir())
 
 
-def test_writes_are_atomic(picked: Demonstrations, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_writes_are_atomic(picked, tmp_path, monkeypatch):
     path = tmp_path / "a.h5"
     path.write_bytes(b"older")
 
-    def half(path: Path, content: bytes) -> None:
+    def half(path, content):
         path.open("wb").write(content[:100])
         raise OSError("no space left")
 
@@ -229,7 +227,7 @@ def test_writes_are_atomic(picked: Demonstrations, tmp_path: Path, monkeypatch: 
     assert path.read_bytes() == b"older" and list(tmp_path.iterdir()) == [path]
 
 
-def test_load_names_other_and_damaged_files(picked: Demonstrations, tmp_path: Path) -> None:
+def test_load_names_other_and_damaged_files(picked, tmp_path):
     """Whichever bit is flipped, the content is the same or the error names the file."""
     path, refused, rng = tmp_path / "a.h5", 0, np.random.default_rng(0)
     with h5py.File(path, "w") as file:
@@ -250,7 +248,7 @@ def test_load_names_other_and_damaged_files(picked: Demonstrations, tmp_path: Pa
     assert refused > 90
 
 
-def test_replay_notices_another_course(picked: Demonstrations, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_replay_notices_another_course(picked, monkeypatch):
     with closing(core_of(picked)) as env:
         assert list(replay(picked, 0, env)) == list(range(len(picked[0]) + 1))
         other = dataclasses.replace(picked[0], actions=picked[0].actions[::-1])

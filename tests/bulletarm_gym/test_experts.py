@@ -1,16 +1,13 @@
 """Experts solve their tasks, recover from failures, change nothing and respect the limits of the control."""
 
 import math
-from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 import pytest
-from rollouts import PICKING, Make, digest, finish, make_env, mixed_action
+from rollouts import PICKING, digest, finish, make_env, mixed_action
 from small_arm import PARAMETERS, SMALL
 
 from bulletarm_gym.control import CloseLoop, RobotInterface
-from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.experts.approach import avoid_limits
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.observations import View
@@ -20,7 +17,7 @@ from bulletarm_gym.simulation import Body, World
 from bulletarm_gym.tasks import Task
 
 
-def solve(env: ManipulationEnv) -> None:
+def solve(env):
     """Solve the first or the second of two seeds: experts fail in up to one of 25 scenes."""
     for seed in (0, 100):
         env.reset(seed=seed)
@@ -39,9 +36,7 @@ def solve(env: ManipulationEnv) -> None:
     ],
     ids=str,
 )
-def test_expert_solves_under_other_parameters(
-    make: Make, typical_id: str, parameters: dict[str, Any]
-) -> None:
+def test_expert_solves_under_other_parameters(make, typical_id, parameters):
     few = {"num_objects": 6} if "Palletizing" in typical_id else {}
     solve(make(typical_id, **parameters, **few))
 
@@ -58,7 +53,7 @@ SMALLEST = {"workspace": [[0.4, 0.44], [-0.02, 0.02], [0.005, 0.12]], "object_sc
     ],
     ids=["closed loop", "small arm"],
 )
-def test_expert_solves_tasks_in_a_small_workspace(task: str, parameters: dict[str, Any]) -> None:
+def test_expert_solves_tasks_in_a_small_workspace(task, parameters):
     env, solved = make_env(f"BulletArm/{task}-v0", **parameters), 0
     for seed in range(5):
         env.reset(seed=seed)
@@ -67,7 +62,7 @@ def test_expert_solves_tasks_in_a_small_workspace(task: str, parameters: dict[st
     assert solved >= 4
 
 
-def test_expert_recovers_from_random_actions(make: Make, typical_id: str) -> None:
+def test_expert_recovers_from_random_actions(make, typical_id):
     env = make(typical_id, max_steps=80)
     if env.task.single_step:
         pytest.skip("every action ends the episode")
@@ -83,7 +78,7 @@ def test_expert_recovers_from_random_actions(make: Make, typical_id: str) -> Non
     assert sum(solved) >= 2
 
 
-def test_expert_action_is_a_function_of_the_state(make: Make, typical_id: str) -> None:
+def test_expert_action_is_a_function_of_the_state(make, typical_id):
     env, other = make(typical_id), make(typical_id, 1)
     rng = np.random.default_rng(0)
     env.reset(seed=1)
@@ -102,7 +97,7 @@ def test_expert_action_is_a_function_of_the_state(make: Make, typical_id: str) -
 
 
 @pytest.mark.parametrize("height", [0.06, 0.125])
-def test_expert_keeps_clear_of_the_last_joint_limit_at_every_height(make: Make, height: float) -> None:
+def test_expert_keeps_clear_of_the_last_joint_limit_at_every_height(make, height):
     """Near that limit one of these heights is reached in a straight motion, the other is not."""
     env = make("BulletArm/CloseLoopBinPacking-v0", robot="panda")
     env.reset(seed=0)
@@ -124,13 +119,13 @@ class SmallSteps(CloseLoop):
     max_rotation = math.pi / 20.0
 
 
-def reachable(thing: Any, seen: set[int]) -> Iterator[Any]:
+def reachable(thing, seen):
     """Yield an object and all objects that its attributes lead to; of interface and view, the public ones."""
     if id(thing) in seen:
         return
     seen.add(id(thing))
     yield thing
-    parts: list[Any] = list(thing) if isinstance(thing, tuple | list) else []
+    parts = list(thing) if isinstance(thing, tuple | list) else []
     if isinstance(thing, RobotInterface | View):
         parts += [getattr(thing, name) for name in dir(thing) if not name.startswith("_")]
     elif type(thing).__module__.startswith("bulletarm_gym"):
@@ -141,7 +136,7 @@ def reachable(thing: Any, seen: set[int]) -> Iterator[Any]:
 
 
 @pytest.mark.parametrize("env_id", [PICKING, "BulletArm/OpenLoopHouseBuilding1-v0"])
-def test_control_reaches_no_simulated_object(make: Make, env_id: str) -> None:
+def test_control_reaches_no_simulated_object(make, env_id):
     env = make(env_id)
     env.reset(seed=0)
     while env.scene.held is None:
@@ -151,7 +146,7 @@ def test_control_reaches_no_simulated_object(make: Make, env_id: str) -> None:
         assert not [thing for thing in reachable(start, set()) if isinstance(thing, SIMULATED)]
 
 
-def test_expert_respects_the_limits_of_the_control(make: Make) -> None:
+def test_expert_respects_the_limits_of_the_control(make):
     env = make(PICKING, control=f"{__name__}:SmallSteps", max_steps=200)
     env.reset(seed=1)
     move = env.decode_action(env.expert_action())

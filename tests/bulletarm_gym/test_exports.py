@@ -3,8 +3,6 @@
 import json
 import sys
 from contextlib import closing
-from pathlib import Path
-from typing import Any
 
 import gymnasium
 import h5py
@@ -13,7 +11,6 @@ import pytest
 from rollouts import PICKING
 
 from bulletarm_gym.demonstrations import (
-    Demonstrations,
     collect,
     export_lerobot,
     export_minari,
@@ -28,24 +25,24 @@ RAMP = "BulletArm/OpenLoopRampBlockStacking-v0"
 
 
 @pytest.fixture(scope="module")
-def picked() -> Demonstrations:
+def picked():
     """Two episodes with images."""
     return collect(PICKING, 2, seed=3, env_kwargs={"obs_size": 32})
 
 
-def core_of(demonstrations: Demonstrations) -> Any:
+def core_of(demonstrations):
     return demonstrations.make_env().unwrapped
 
 
-def test_exports_name_missing_libraries(picked: Demonstrations, monkeypatch: pytest.MonkeyPatch) -> None:
-    exporters: dict[str, Any] = {"minari": export_minari, "lerobot": export_lerobot, "rlds": export_rlds}
+def test_exports_name_missing_libraries(picked, monkeypatch):
+    exporters = {"minari": export_minari, "lerobot": export_lerobot, "rlds": export_rlds}
     for extra, export in exporters.items():
         monkeypatch.setitem(sys.modules, "tensorflow" if extra == "rlds" else extra, None)
         with pytest.raises(ImportError, match=rf"bulletarm-gym\[{extra}\]"):
             export(picked, "bulletarm/picking/expert-v0")
 
 
-def test_frames_hold_what_sensors_of_the_environment_read(picked: Demonstrations) -> None:
+def test_frames_hold_what_sensors_of_the_environment_read(picked):
     camera = {"size": 32, "position": [1.0, 0.2, 0.6]}
     episode = picked[1]
     with closing(core_of(picked)) as env:
@@ -74,7 +71,7 @@ def test_frames_hold_what_sensors_of_the_environment_read(picked: Demonstrations
             observation, *_ = other.step(episode.actions[k])
 
 
-def test_features_describe_the_frames() -> None:
+def test_features_describe_the_frames():
     sensors = ["state", "color", "segmentation", "holding"]
     found = []
     for env_id, kwargs in ((DRAWER, {"observation": sensors, "obs_size": 32}), (RAMP, {"num_objects": 2})):
@@ -98,10 +95,10 @@ def test_features_describe_the_frames() -> None:
         assert names is None or len(names) == (3 if len(feature["shape"]) == 3 else last)
 
 
-def test_robomimic_file(picked: Demonstrations, tmp_path: Path) -> None:
+def test_robomimic_file(picked, tmp_path):
     """Structure of robomimic's documentation; obs and next_obs are shifted by a step."""
     side = {"size": [32, 24], "position": [1.0, 0.2, 0.6]}
-    cameras: Any = {"side": side, "wrist": {"mount": "wrist", "size": 16}}
+    cameras = {"side": side, "wrist": {"mount": "wrist", "size": 16}}
     path = tmp_path / "picking.hdf5"
     assert export_robomimic(picked, path, cameras=cameras, object_poses=True, valid_ratio=0.5) == path
     with h5py.File(path, "r") as file, closing(core_of(picked)) as env:
@@ -136,7 +133,7 @@ def test_robomimic_file(picked: Demonstrations, tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["picking.hdf5"]
 
 
-def test_lerobot_dataset(picked: Demonstrations, tmp_path: Path) -> None:
+def test_lerobot_dataset(picked, tmp_path):
     pytest.importorskip("lerobot")
     dataset = export_lerobot(picked, "bulletarm/picking", tmp_path / "set", task="Pick it up", fps=10)
     assert (len(dataset), dataset.num_episodes, dataset.fps) == (sum(map(len, picked)), 2, 10)
@@ -154,7 +151,7 @@ def test_lerobot_dataset(picked: Demonstrations, tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["set"]
 
 
-def test_rlds_steps(picked: Demonstrations) -> None:
+def test_rlds_steps(picked):
     """The last step has the last observation and no action."""
     with closing(core_of(picked)) as env:
         observed = list(exports.observations(1, picked, env, {"front": {"size": 16}}))
@@ -170,7 +167,7 @@ def test_rlds_steps(picked: Demonstrations) -> None:
     assert found[0]["observation"].keys() == {"front_image", "state", "heightmap", "holding"}
 
 
-def test_rlds_dataset(picked: Demonstrations, tmp_path: Path) -> None:
+def test_rlds_dataset(picked, tmp_path):
     pytest.importorskip("tensorflow")
     tfds = pytest.importorskip("tensorflow_datasets")
     cameras = {"front": {"size": [32, 24]}}

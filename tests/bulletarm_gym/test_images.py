@@ -1,22 +1,18 @@
 """Images: heightmaps of closed-loop control, cameras, and colour, depth and segmentation sensors."""
 
 import math
-from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
 from unittest.mock import MagicMock
 
 import gymnasium
 import numpy as np
 import pytest
 from gymnasium.wrappers import RenderCollection
-from numpy.typing import NDArray
-from rollouts import PICKING, Make, make_env
+from rollouts import PICKING, make_env
 
 from bulletarm_gym.config import ParameterError
-from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import Pose, euler_pose, matrix
 from bulletarm_gym.objects.solids import block
 from bulletarm_gym.observations import Window
@@ -33,32 +29,32 @@ RESOLUTION = EXTENT / SIZE
 CAMERA_OFFSET, FINGER = 0.1, 0.021
 
 
-def look(env: ManipulationEnv, hand: Pose, cube: Pose) -> np.ndarray:
+def look(env, hand, cube):
     """Return the heightmap with the open gripper and the cube at poses."""
     env.scene.robot.home(hand)
     env.scene["cube"].place(cube)
     return env.observe()["heightmap"][0]
 
 
-def raised(image: np.ndarray) -> np.ndarray:
+def raised(image):
     """Return the mask of pixels above the floor."""
     return (image > 0) & (image < image.max() - 0.01)
 
 
-def centroid(mask: np.ndarray, extent: float = EXTENT) -> np.ndarray:
+def centroid(mask, extent=EXTENT):
     """Return the mean offset (m) in x and y of the masked pixels from the centre of the image."""
     assert mask.any()
     return (np.argwhere(mask).mean(axis=0) - (len(mask) - 1) / 2) * extent / len(mask)
 
 
 @pytest.fixture
-def scene(picking: ManipulationEnv) -> ManipulationEnv:
+def scene(picking):
     picking.reset(seed=0)
     return picking
 
 
 @pytest.mark.parametrize("height", [0.08, 0.16, 0.25, 0.35])
-def test_depth_is_metric_and_clipped(scene: ManipulationEnv, height: float) -> None:
+def test_depth_is_metric_and_clipped(scene, height):
     image = look(scene, Pose.planar(0.45, 0.0, height), Pose.planar(0.52, 0.06, 0.025, 0.3))
     assert image.max() == pytest.approx(min(height + CAMERA_OFFSET, 0.4), abs=1e-6)
     row, column = (round((SIZE - 1) / 2 + offset / RESOLUTION) for offset in (0.07, 0.06))
@@ -68,7 +64,7 @@ def test_depth_is_metric_and_clipped(scene: ManipulationEnv, height: float) -> N
 
 
 @pytest.mark.parametrize("offset", [(0.1, 0.0), (-0.08, 0.0), (0.0, 0.12), (0.09, -0.13)])
-def test_image_is_centred_on_the_fingertips(scene: ManipulationEnv, offset: tuple[float, float]) -> None:
+def test_image_is_centred_on_the_fingertips(scene, offset):
     """Rows grow with x, columns with y."""
     for hand in ((0.45, 0.0), (0.37, 0.08)):
         cube = Pose.planar(hand[0] + offset[0], hand[1] + offset[1], 0.025, 0.2)
@@ -76,7 +72,7 @@ def test_image_is_centred_on_the_fingertips(scene: ManipulationEnv, offset: tupl
         np.testing.assert_allclose(centroid(raised(image)), offset, atol=RESOLUTION / 2)
 
 
-def test_image_has_one_and_a_half_times_the_size_of_the_workspace(make: Make) -> None:
+def test_image_has_one_and_a_half_times_the_size_of_the_workspace(make):
     env = make(PICKING, obs_size=32, workspace=[[0.3, 0.5], [-0.1, 0.1], [0.01, 0.25]])
     env.reset(seed=0)
     image = look(env, Pose.planar(0.4, 0.0, 0.2), Pose.planar(0.5, 0.0, 0.025))
@@ -86,7 +82,7 @@ def test_image_has_one_and_a_half_times_the_size_of_the_workspace(make: Make) ->
 
 @pytest.mark.parametrize("yaw", [0.0, 0.6, -1.0])
 @pytest.mark.parametrize("ratio", [1.0, 0.5])
-def test_gripper_is_two_squares(scene: ManipulationEnv, yaw: float, ratio: float) -> None:
+def test_gripper_is_two_squares(scene, yaw, ratio):
     """The arm and the rest of the gripper are not rendered."""
     scene.scene.robot.home(Pose.planar(0.45, 0.0, 0.06, yaw))
     scene.scene["cube"].park()
@@ -103,7 +99,7 @@ def test_gripper_is_two_squares(scene: ManipulationEnv, yaw: float, ratio: float
         assert side.sum() * RESOLUTION**2 == pytest.approx(FINGER**2, rel=0.2)
 
 
-def test_grasped_object_is_visible(scene: ManipulationEnv) -> None:
+def test_grasped_object_is_visible(scene):
     scene.reset(seed=3)
     while scene.scene.held is None:
         scene.step(scene.expert_action())
@@ -117,7 +113,7 @@ def test_grasped_object_is_visible(scene: ManipulationEnv) -> None:
 # The view "point_cloud"
 
 
-def test_highest_point_of_a_pixel_counts_and_a_hole_gets_the_nearest_value() -> None:
+def test_highest_point_of_a_pixel_counts_and_a_hole_gets_the_nearest_value():
     points = np.array([[0.05, 0.05, 0.01], [0.95, 0.95, 0.02]])
     image = project_points(points, Window((0.5, 0.5), 1.0, 10), ceiling=1.0)
     assert image[3, 3] == np.float32(0.01) and image[7, 7] == np.float32(0.02)
@@ -128,7 +124,7 @@ def test_highest_point_of_a_pixel_counts_and_a_hole_gets_the_nearest_value() -> 
 
 
 @pytest.mark.parametrize("name", ["BlockPicking", "BlockPushing"])
-def test_point_cloud_view_agrees_with_the_orthographic_view(make: Make, name: str) -> None:
+def test_point_cloud_view_agrees_with_the_orthographic_view(make, name):
     """Within a millimetre except at edges, and where the arm hides something from both cameras."""
     env_id = f"BulletArm/CloseLoop{name}-v0"
     first, second = (make(env_id, view=view) for view in ("orthographic", "point_cloud"))
@@ -151,7 +147,7 @@ EXACT = 5e-6
 # Geometry
 
 
-def test_intrinsics_and_extrinsics_give_the_point_of_a_pixel() -> None:
+def test_intrinsics_and_extrinsics_give_the_point_of_a_pixel():
     """The camera looks at a large plate, whose upper side is the plane z = 0 of a tilted frame."""
     world, pose = World(PHYSICS_MODES["fast"]), euler_pose((0.1, -0.05, 0.02), (0.3, -0.2, 0.0))
     world.add(BodySpec("plate", (block((6.0, 6.0, 0.1), (0.0, 0.0, -0.05)),), mass=0.0), pose)
@@ -178,11 +174,11 @@ WORKSPACES = [
 ]
 
 
-def corners(workspace: Sequence[Sequence[float]]) -> list[tuple[float, float, float]]:
+def corners(workspace):
     return [(x, y, 0.0) for x in workspace[0] for y in workspace[1]]
 
 
-def red_pixels(image: NDArray[np.uint8]) -> NDArray[np.int64]:
+def red_pixels(image):
     """Return rows and columns of the pixels of an image (height, width, 3) that show the red cube."""
     red, green, _ = np.moveaxis(image.astype(int), -1, 0)
     return np.argwhere((red > 2.5 * green) & (red > 80))
@@ -190,7 +186,7 @@ def red_pixels(image: NDArray[np.uint8]) -> NDArray[np.int64]:
 
 @pytest.mark.parametrize("robot", ["kuka", "ur5_robotiq"])
 @pytest.mark.parametrize("workspace", WORKSPACES, ids=str)
-def test_default_cameras_show_the_workspace(workspace: Any, robot: str) -> None:
+def test_default_cameras_show_the_workspace(workspace, robot):
     """The corners of the floor and the cube are visible, and the floor fills a share of the width."""
     chosen = {} if workspace is None else {"workspace": workspace}
     try:
@@ -219,19 +215,19 @@ def test_default_cameras_show_the_workspace(workspace: Any, robot: str) -> None:
 # Parameters of render()
 
 
-def test_render_size_and_render_camera() -> None:
+def test_render_size_and_render_camera():
     top = {"position": [0.75, 0.0, 1.2], "target": [0.45, 0.0, 0.0], "fov": 30}
     kwargs = {"render_mode": "rgb_array", "render_size": [96, 64], "render_camera": top}
     env = RenderCollection(gymnasium.make(PICKING, **kwargs))
     env.reset(seed=0)
     env.step(env.action_space.sample())
-    frames: Any = env.render()
+    frames = env.render()
     assert [frame.shape for frame in frames] == [(64, 96, 3)] * 2 and len(red_pixels(frames[0]))
-    camera = env.unwrapped.cameras["render"].camera  # type: ignore[attr-defined]
+    camera = env.unwrapped.cameras["render"].camera
     assert camera.eye == (0.75, 0.0, 1.2) and camera.fov == 30.0
 
 
-def test_depth_array_is_the_depth_of_the_render_camera(make: Make) -> None:
+def test_depth_array_is_the_depth_of_the_render_camera(make):
     plain = make(PICKING)
     narrow = make(PICKING, render_camera={"fov": 20}, render_size=32, render_mode="depth_array")
     first, second = plain.cameras["render"].camera, narrow.cameras["render"].camera
@@ -240,7 +236,7 @@ def test_depth_array_is_the_depth_of_the_render_camera(make: Make) -> None:
     np.testing.assert_array_equal(narrow.render(), narrow.cameras["render"].depth())
 
 
-def test_render_camera_must_not_be_at_its_target() -> None:
+def test_render_camera_must_not_be_at_its_target():
     camera = {"position": [0.4, 0.0, 0.1], "target": [0.4, 0.0, 0.1]}
     with pytest.raises(ParameterError, match=r"render_camera: target must be .*got \[0\.4, 0\.0, 0\.1\]"):
         make_env(PICKING, render_camera=camera)
@@ -250,7 +246,7 @@ def test_render_camera_must_not_be_at_its_target() -> None:
 
 
 @pytest.mark.parametrize("env_id", [PICKING, STACKING])
-def test_wrist_camera_moves_with_the_gripper(make: Make, env_id: str) -> None:
+def test_wrist_camera_moves_with_the_gripper(make, env_id):
     mounted = {"mount": "wrist", "size": [64, 48]}
     sensors = [{"name": "wrist", "sensor": "rgb", **mounted}, {"name": "depth", **mounted}]
     env = make(env_id, observation=sensors)
@@ -267,7 +263,7 @@ def test_wrist_camera_moves_with_the_gripper(make: Make, env_id: str) -> None:
     np.testing.assert_array_equal(env.observe()["depth"][0], env.cameras["depth"].depth())
 
 
-def test_point_cloud_measures_the_cube(make: Make) -> None:
+def test_point_cloud_measures_the_cube(make):
     env = make(PICKING, observation=["heightmap", {"name": "point_cloud", "points": 4000}])
     env.reset(seed=0)
     env.scene.robot.home(Pose.planar(0.38, -0.08, 0.2))
@@ -285,12 +281,12 @@ def test_point_cloud_measures_the_cube(make: Make) -> None:
 # Color and segmentation
 
 
-def of_colour(image: np.ndarray, colour: Sequence[float]) -> np.ndarray:
+def of_colour(image, colour):
     """Return the mask of the pixels of (3, size, size) that have a colour."""
     return (image == np.rint(255 * np.array(colour[:3]))[:, None, None]).all(axis=0)
 
 
-def test_color_and_segmentation_show_the_cube_and_the_fingers(make: Make) -> None:
+def test_color_and_segmentation_show_the_cube_and_the_fingers(make):
     env = make(PICKING, observation=TOP)
     env.reset(seed=0)
     images = []
@@ -312,7 +308,7 @@ def test_color_and_segmentation_show_the_cube_and_the_fingers(make: Make) -> Non
         assert (np.rot90(first[name], 1, axes=(1, 2)) != second[name]).mean() < 1e-3, name
 
 
-def test_open_loop_segmentation_numbers_slots_and_omits_the_grasped_object(make: Make) -> None:
+def test_open_loop_segmentation_numbers_slots_and_omits_the_grasped_object(make):
     env = make(STACKING, observation=[*TOP, "holding"], object_scale_range=[0.6, 0.7])
     for seed in range(2):
         before, _ = env.reset(seed=seed)
@@ -326,7 +322,7 @@ def test_open_loop_segmentation_numbers_slots_and_omits_the_grasped_object(make:
 # The window
 
 
-def test_pressed_keys_are_those_that_went_down() -> None:
+def test_pressed_keys_are_those_that_went_down():
     client = SimpleNamespace(KEY_IS_DOWN=1, KEY_WAS_TRIGGERED=2, KEY_WAS_RELEASED=4)
     client.COV_ENABLE_KEYBOARD_SHORTCUTS = client.configureDebugVisualizer = MagicMock()
     config = SimpleNamespace(render_mode="rgb_array")

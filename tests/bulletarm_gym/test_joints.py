@@ -1,7 +1,6 @@
 """Sliding and rotating parts of fixed and of free bodies: geometry, physics and state."""
 
 import pickle
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ from bulletarm_gym.geometry import Pose, euler_pose
 from bulletarm_gym.objects.solids import block
 from bulletarm_gym.observations import HeightRenderer, Window
 from bulletarm_gym.scene.stability import settle
-from bulletarm_gym.simulation import Body, BodySpec, Box, Hinge, Piece, Slide, World
+from bulletarm_gym.simulation import BodySpec, Box, Hinge, Piece, Slide, World
 from bulletarm_gym.simulation.state import PHYSICS_MODES, REST_SPEED
 from bulletarm_gym.surfaces.surface import FLOOR
 
@@ -36,7 +35,7 @@ WALLS = (
 )
 
 
-def _world(mass: float) -> tuple[World, Body]:
+def _world(mass):
     world = World(PHYSICS_MODES["fast"])
     world.add_plane(FLOOR)
     world.add(CUBE, Pose((0.3, 0.0, 0.02)))
@@ -47,25 +46,25 @@ def _world(mass: float) -> tuple[World, Body]:
 
 
 @pytest.fixture(params=[0.0, 0.3], ids=["fixed", "free"])
-def mass(request: pytest.FixtureRequest) -> float:
+def mass(request):
     return float(request.param)
 
 
 @pytest.fixture
-def boxed(mass: float) -> Iterator[tuple[World, Body]]:
+def boxed(mass):
     world, body = _world(mass)
     yield world, body
     world.close()
 
 
-def simulate(world: World, steps: int) -> None:
+def simulate(world, steps):
     world.begin()
     world.step(steps)
     world.end()
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.4, 1.1, 1.9])
-def test_poses_of_parts_are_those_of_the_simulation(boxed: tuple[World, Body], angle: float) -> None:
+def test_poses_of_parts_are_those_of_the_simulation(boxed, angle):
     """The corners of each part are at the surface of its shape in Bullet."""
     world, body = boxed
     world.place(body, euler_pose((0.1, -0.2, 0.3), (0.3, -0.5, 1.0)))
@@ -80,7 +79,7 @@ def test_poses_of_parts_are_those_of_the_simulation(boxed: tuple[World, Body], a
             assert min(abs(point[8]) for point in points) < 1.5e-3
 
 
-def test_lid_falls_shut_and_a_brake_holds_it(boxed: tuple[World, Body]) -> None:
+def test_lid_falls_shut_and_a_brake_holds_it(boxed):
     world, body = boxed
     world.set_joints(body, (0.02, 0.6))
     assert body in world.loose_bodies
@@ -97,7 +96,7 @@ def test_lid_falls_shut_and_a_brake_holds_it(boxed: tuple[World, Body]) -> None:
     assert world.joints[body.index][1] == pytest.approx(1.5, abs=0.03), "nearly upright the brake is stronger"
 
 
-def test_inertia_has_the_axes_of_the_pieces(mass: float) -> None:
+def test_inertia_has_the_axes_of_the_pieces(mass):
     """Two cubes of 2 cm that are 20 cm apart, in a plane that is oblique to the axes of the body."""
     frame = euler_pose((0.0, 0.0, 0.0), (0.3, 0.5, 0.7))
     ends = tuple(Piece(Box((0.02, 0.02, 0.02)), frame.compose(Pose((x, 0.0, 0.0)))) for x in (-0.1, 0.1))
@@ -113,8 +112,8 @@ def test_inertia_has_the_axes_of_the_pieces(mass: float) -> None:
     assert abs(np.dot(axis, found)) == pytest.approx(1.0, abs=1e-4)
 
 
-def test_parts_do_not_collide_with_their_body_or_with_each_other(mass: float) -> None:
-    def part(name: str) -> Slide:
+def test_parts_do_not_collide_with_their_body_or_with_each_other(mass):
+    def part(name):
         return Slide(name, (Piece(Box((0.04, 0.04, 0.04))),), 0.1, axis=(1.0, 0.0, 0.0), limits=(-0.1, 0.1))
 
     spec = BodySpec("body", (Piece(Box((0.05, 0.05, 0.05))),), mass, slides=(part("one"), part("other")))
@@ -125,7 +124,7 @@ def test_parts_do_not_collide_with_their_body_or_with_each_other(mass: float) ->
     assert not world.contacts(body, body)
 
 
-def test_parked_parts_do_not_move(boxed: tuple[World, Body]) -> None:
+def test_parked_parts_do_not_move(boxed):
     world, body = boxed
     world.park(body)
     simulate(world, 10)
@@ -136,7 +135,7 @@ def test_parked_parts_do_not_move(boxed: tuple[World, Body]) -> None:
 
 
 @pytest.mark.usefixtures("own_registrations")
-def test_door_of_the_example_repeats_exactly_and_is_rendered() -> None:
+def test_door_of_the_example_repeats_exactly_and_is_rendered():
     parameters = {"control": "close_loop", "obs_size": 16, "observation": ["heightmap", "state"]}
     first, second = (ManipulationEnv("door:DoorOpening", **parameters) for _ in range(2))
     first.reset(seed=0)

@@ -7,7 +7,6 @@ from xml.etree import ElementTree
 import numpy as np
 import pybullet_data
 import pytest
-from rollouts import Make
 
 from bulletarm_gym.geometry import Mesh, Pose
 from bulletarm_gym.objects.files import GREY, load_folder
@@ -26,7 +25,7 @@ OBJ = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
 INERTIAL = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
 
 
-def ascii_stl() -> bytes:
+def ascii_stl():
     mesh = Mesh.box(SIZE)
     facets = [
         "".join(f"vertex {x:e} {y:e} {z:e}\n" for x, y, z in f) for f in mesh.vertices[mesh.faces].tolist()
@@ -35,21 +34,21 @@ def ascii_stl() -> bytes:
     return f"solid box\n{body}endsolid box\n".encode()
 
 
-def binary_stl(header: bytes = b"solid") -> bytes:
+def binary_stl(header=b"solid"):
     mesh = Mesh.box(SIZE)
     records = np.zeros(12, dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
     records["corners"] = mesh.vertices[mesh.faces]
     return header.ljust(80) + (12).to_bytes(4, "little") + records.tobytes()
 
 
-def write_link(path: Path, inside: str = "", outside: str = "", shape: str = BOX) -> Path:
+def write_link(path, inside="", outside="", shape=BOX):
     """Write a URDF of one link with a collision geometry."""
     link = f'<link name="a"><collision>{shape}</collision>{inside}</link>'
     path.write_text(f'<robot name="a">{outside}{link}</robot>')
     return path
 
 
-def write_model(folder: Path, mesh: str, content: bytes) -> Path:
+def write_model(folder, mesh, content):
     """Write a URDF whose link has a mesh with this content."""
     (folder / mesh).write_bytes(content)
     return write_link(folder / "arm.urdf", INERTIAL, shape=f'<geometry><mesh filename="{mesh}"/></geometry>')
@@ -58,7 +57,7 @@ def write_model(folder: Path, mesh: str, content: bytes) -> Path:
 # Folders of objects
 
 
-def test_random_urdfs_of_pybullet(tmp_path: Path) -> None:
+def test_random_urdfs_of_pybullet(tmp_path):
     for name in ("000", "001", "168"):
         shutil.copytree(Path(pybullet_data.getDataPath()) / "random_urdfs" / name, tmp_path / name)
     with pytest.warns(UserWarning, match=r"1 of 3 .*168\.urdf cannot be loaded: a vertex is not finite"):
@@ -67,7 +66,7 @@ def test_random_urdfs_of_pybullet(tmp_path: Path) -> None:
         load_folder(str(tmp_path / "168"))
 
 
-def test_symbolic_links_are_followed_once(tmp_path: Path) -> None:
+def test_symbolic_links_are_followed_once(tmp_path):
     kept, linked = tmp_path / "kept", tmp_path / "linked"
     (kept / "cups").mkdir(parents=True)
     linked.mkdir()
@@ -79,7 +78,7 @@ def test_symbolic_links_are_followed_once(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["a.obj", "A.STL", "ascii.stl", "A.URDF"])
-def test_formats_are_read_in_any_case(tmp_path: Path, name: str) -> None:
+def test_formats_are_read_in_any_case(tmp_path, name):
     contents = {
         "a.obj": wavefront([Piece(Box(SIZE))]).encode(),
         "A.STL": binary_stl(),
@@ -93,7 +92,7 @@ def test_formats_are_read_in_any_case(tmp_path: Path, name: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["inside out", "open", "polygons", "millimetres in a URDF"])
-def test_meshes_of_any_faces_have_the_mass_properties_of_the_box(tmp_path: Path, kind: str) -> None:
+def test_meshes_of_any_faces_have_the_mass_properties_of_the_box(tmp_path, kind):
     mesh = Mesh.box(SIZE)
     faces = (mesh.faces + 1).tolist()
     if kind == "inside out":
@@ -116,7 +115,7 @@ def test_meshes_of_any_faces_have_the_mass_properties_of_the_box(tmp_path: Path,
     assert frame.position == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
 
 
-def test_each_part_of_an_obj_file_is_convex_and_concave_parts_are_announced(tmp_path: Path) -> None:
+def test_each_part_of_an_obj_file_is_convex_and_concave_parts_are_announced(tmp_path):
     cup = next(spec for spec in graspables() if spec.name == "cup_0")
     (tmp_path / "whole.obj").write_text(wavefront([Piece(Convex(cup.mesh))]))
     (tmp_path / "parts.obj").write_text(wavefront(cup.pieces))
@@ -129,7 +128,7 @@ def test_each_part_of_an_obj_file_is_convex_and_concave_parts_are_announced(tmp_
         assert spec.extents == pytest.approx(cup.extents)
 
 
-def test_values_of_a_urdf_are_used(tmp_path: Path) -> None:
+def test_values_of_a_urdf_are_used(tmp_path):
     contact = '<contact><lateral_friction value="0.8"/><rolling_friction value="0.002"/></contact>'
     visual = f'<visual>{BOX}<material name="painter\'s"/></visual>'
     colours = [
@@ -143,7 +142,7 @@ def test_values_of_a_urdf_are_used(tmp_path: Path) -> None:
     assert sum(spec.mass_properties[1]) == pytest.approx(1.2 / 6.0 * sum(side**2 for side in SIZE))
 
 
-def coloured(rgba: str) -> str:
+def coloured(rgba):
     return f'<visual>{BOX}<material name="paint"><color rgba="{rgba}"/></material></visual>'
 
 
@@ -167,7 +166,7 @@ def coloured(rgba: str) -> str:
         ("a.txt", "", "no .obj, no .stl and no .urdf"),
     ],
 )
-def test_file_that_cannot_be_loaded_is_named(tmp_path: Path, name: str, text: str, reason: str) -> None:
+def test_file_that_cannot_be_loaded_is_named(tmp_path, name, text, reason):
     (tmp_path / name).write_text(text)
     if name == "a.urdf" and "robot" not in text:
         write_link(tmp_path / name, text)
@@ -176,7 +175,7 @@ def test_file_that_cannot_be_loaded_is_named(tmp_path: Path, name: str, text: st
         load_folder(str(tmp_path))
 
 
-def test_files_and_elements_without_effect_are_named_in_one_warning(tmp_path: Path) -> None:
+def test_files_and_elements_without_effect_are_named_in_one_warning(tmp_path):
     contact = '<contact><stiffness value="3"/><contact_erp value="1"/></contact>'
     visual = f'<visual>{BOX}<material name="m"><texture/></material></visual>'
     (tmp_path / "meshes").mkdir()
@@ -198,7 +197,7 @@ def test_files_and_elements_without_effect_are_named_in_one_warning(tmp_path: Pa
     assert ": C.PLY, b.dae, loose.obj" in str(warning.message)
 
 
-def test_objects_wider_than_the_stroke_are_refused_by_name(make: Make, tmp_path: Path) -> None:
+def test_objects_wider_than_the_stroke_are_refused_by_name(make, tmp_path):
     parameters = {"object_set": str(tmp_path), "num_objects": 1}
     (tmp_path / "long.obj").write_text(wavefront([Piece(Box((0.12, 0.05, 0.03)))]))
     make(GRASPING, **parameters)
@@ -211,7 +210,7 @@ def test_objects_wider_than_the_stroke_are_refused_by_name(make: Make, tmp_path:
 # Models in Bullet
 
 
-def simulated_size(path: Path) -> list[float]:
+def simulated_size(path):
     """Return the side lengths (m) of a model's collision shape in Bullet."""
     client = Client()
     xml = ElementTree.tostring(read_urdf(path), encoding="unicode")
@@ -224,14 +223,14 @@ def simulated_size(path: Path) -> list[float]:
 @pytest.mark.parametrize(
     ("mesh", "content"), [("A.STL", ascii_stl()), ("a.stl", binary_stl())], ids=["ASCII", "binary"]
 )
-def test_stl_meshes_of_robots_keep_their_collision_shape(tmp_path: Path, mesh: str, content: bytes) -> None:
+def test_stl_meshes_of_robots_keep_their_collision_shape(tmp_path, mesh, content):
     path = write_model(tmp_path, mesh, content)
     text = path.read_text().replace("<collision>", '<drake:proximity/><collision drake:acceleration="3">')
     path.write_text("\n" + '<?xml version="1.0"?>' + text)  # extensions without a declaration are ignored
     assert simulated_size(path) == pytest.approx(SIZE, abs=0.01)
 
 
-def test_collada_meshes_of_robots_are_read(tmp_path: Path) -> None:
+def test_collada_meshes_of_robots_are_read(tmp_path):
     cone = Path(pybullet_data.getDataPath()) / "racecar" / "meshes" / "cone.dae"
     assert min(simulated_size(write_model(tmp_path, "a.dae", cone.read_bytes()))) > 0.1
 
@@ -253,9 +252,7 @@ def test_collada_meshes_of_robots_are_read(tmp_path: Path) -> None:
         ("a.ply", b"ply\n", "OBJ or STL, got '.ply'"),
     ],
 )
-def test_mesh_that_bullet_cannot_read_is_refused(
-    tmp_path: Path, mesh: str, content: bytes, reason: str
-) -> None:
+def test_mesh_that_bullet_cannot_read_is_refused(tmp_path, mesh, content, reason):
     path = write_model(tmp_path, mesh, f"{OBJ}f 1 2 3\nf 2 3 4\n".encode())
     if mesh == "a.obj":
         read_urdf(path)  # a file is checked again after a change
@@ -274,14 +271,14 @@ def test_mesh_that_bullet_cannot_read_is_refused(
         ('<robot><joint><origin quat_xyzw="0 0 0 1"/></joint></robot>', "quat_xyzw of URDF 1.1"),
     ],
 )
-def test_other_formats_than_urdf_are_named(tmp_path: Path, text: str, reason: str) -> None:
+def test_other_formats_than_urdf_are_named(tmp_path, text, reason):
     (tmp_path / "arm.urdf").write_text(text)
     with pytest.raises(ValueError, match=reason) as error:
         read_urdf(tmp_path / "arm.urdf")
     assert str(tmp_path / "arm.urdf") in str(error.value)
 
 
-def test_model_that_bullet_refuses_is_named() -> None:
+def test_model_that_bullet_refuses_is_named():
     client = Client()
     with pytest.raises(ValueError, match="'lost'"):
         load_urdf(client, "lost", "<robot/>", Pose((0.0, 0.0, 0.0)))

@@ -2,16 +2,14 @@
 
 import itertools
 import math
-from typing import Any
 
 import numpy as np
 import pytest
-from rollouts import Make, digest
+from rollouts import digest
 
 from bulletarm_gym.config import Context, EnvConfig
 from bulletarm_gym.control import PickPlace
-from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.geometry import FloatArray, Pose, euler_angles, matrix, wrap_angle
+from bulletarm_gym.geometry import Pose, euler_angles, matrix, wrap_angle
 from bulletarm_gym.observations import ElevationMap
 from bulletarm_gym.observations.cameras import SIDE_PIXELS, side_cameras
 from bulletarm_gym.real_arm import (
@@ -29,13 +27,13 @@ CENTRE, EXTENT = (0.45, 0.0), 0.4
 
 
 @pytest.fixture
-def env(make: Make) -> ManipulationEnv:
+def env(make):
     env = make(STACKING)
     env.reset(seed=0)
     return env
 
 
-def lay_out(env: ManipulationEnv, *poses: Pose) -> None:
+def lay_out(env, *poses):
     """Put the cubes at poses, and those without a pose aside, one on another."""
     env.reset(seed=0)
     aside = [Pose((0.28, -0.17, CUBE * (0.5 + k))) for k in range(4)]
@@ -43,17 +41,17 @@ def lay_out(env: ManipulationEnv, *poses: Pose) -> None:
         obj.place(pose)
 
 
-def act(env: ManipulationEnv, primitive: str, position: Any, rotation: Any = (0.0, 0.0, 0.0)) -> Any:
+def act(env, primitive, position, rotation=(0.0, 0.0, 0.0)):
     return env.step(env.encode_action(PickPlace(primitive, position, rotation)))
 
 
-def pick(env: ManipulationEnv, x: float, y: float) -> Any:
+def pick(env, x, y):
     act(env, "pick", (x, y, 0.0))
     assert env.scene.held is not None
     return env.scene.held
 
 
-def height_at(env: ManipulationEnv, primitive: str, x: float, y: float) -> float:
+def height_at(env, primitive, x, y):
     """Return the decoded height (m) of a pick or place without z."""
     return float(env.decode_action(env.encode_action(PickPlace(primitive, (x, y, 0.0)))).position[2])
 
@@ -63,7 +61,7 @@ def height_at(env: ManipulationEnv, primitive: str, x: float, y: float) -> float
 
 @pytest.mark.parametrize("half", [True, False])
 @pytest.mark.parametrize("sequence", ["xy", "rxy", "ypx", "yprx", "xyzrrr", "rrrzyxp", "rxyrzpr"])
-def test_encode_inverts_decode(env: ManipulationEnv, sequence: str, half: bool) -> None:
+def test_encode_inverts_decode(env, sequence, half):
     context = Context("open_loop", env.task.defaults)
     config = EnvConfig.of(context, {"action_sequence": sequence, "half_rotation": half})
     control, view = type(env.control)(config, env.control.robot, env.task.grasp_params), env.look()
@@ -78,7 +76,7 @@ def test_encode_inverts_decode(env: ManipulationEnv, sequence: str, half: bool) 
         assert again.dtype == np.float32 and control.decode_action(again, view).primitive == move.primitive
 
 
-def test_decode_returns_physical_units(make: Make) -> None:
+def test_decode_returns_physical_units(make):
     workspace = [[0.25, 0.65], [-0.2, 0.2], [0.05, 1.0]]
     env = make(STACKING, action_sequence="pxyzrrr", half_rotation=False, workspace=workspace)
     low, middle, high = (env.decode_action(np.full(7, value)) for value in (-1.0, 0.0, 1.0))
@@ -91,7 +89,7 @@ def test_decode_returns_physical_units(make: Make) -> None:
     assert [half.decode_action([0, 0, 0, r]).rotation[0] for r in (-1, 0.5)] == [0.0, 0.75 * math.pi]
 
 
-def test_rotations_are_about_z_then_the_rotated_y_then_the_rotated_x() -> None:
+def test_rotations_are_about_z_then_the_rotated_y_then_the_rotated_x():
     theta, phi, psi = 0.7, 0.4, -0.3
     axes = [np.eye(3) for _ in range(3)]
     for turn, (i, j), angle in zip(axes, ((0, 1), (2, 0), (1, 2)), (theta, phi, psi), strict=True):
@@ -101,7 +99,7 @@ def test_rotations_are_about_z_then_the_rotated_y_then_the_rotated_x() -> None:
     assert euler_angles(pose.orientation) == pytest.approx((psi, phi, theta))
 
 
-def test_encode_brings_angles_into_range(make: Make) -> None:
+def test_encode_brings_angles_into_range(make):
     """A rotation by pi about the gripper's axis exchanges its fingers."""
     env = make(STACKING, action_sequence="xyzrrr")
     for turns in (-2, -1, 1, 2):
@@ -112,13 +110,13 @@ def test_encode_brings_angles_into_range(make: Make) -> None:
         np.testing.assert_allclose(matrix(same.pose), matrix(move.pose.compose(flip)), atol=1e-6)
 
 
-def test_encode_clips_and_rejects_an_unknown_primitive(env: ManipulationEnv) -> None:
+def test_encode_clips_and_rejects_an_unknown_primitive(env):
     assert env.encode_action(PickPlace("place", (9.0, -9.0, 0.1))).tolist() == [1.0, 1.0, -1.0, -1.0]
     with pytest.raises(ValueError, match=r"primitive .*'push'"):
         env.encode_action(PickPlace("push", (0.4, 0.0, 0.1)))
 
 
-def test_action_without_p_picks_when_empty_and_places_when_holding(make: Make) -> None:
+def test_action_without_p_picks_when_empty_and_places_when_holding(make):
     env = make(STACKING, action_sequence="xyr")
     env.reset(seed=0)
     moves = []
@@ -129,7 +127,7 @@ def test_action_without_p_picks_when_empty_and_places_when_holding(make: Make) -
     assert moves == [("pick", False), ("place", True)] * 2
 
 
-def test_pick_while_holding_and_place_while_empty_change_nothing(env: ManipulationEnv) -> None:
+def test_pick_while_holding_and_place_while_empty_change_nothing(env):
     before = env.observe()
     observation, reward, terminated, truncated, info = act(env, "place", (0.45, 0.0, 0.0))
     assert info["ignored"] and (reward, terminated, truncated) == (0.0, False, False)
@@ -145,7 +143,7 @@ def test_pick_while_holding_and_place_while_empty_change_nothing(env: Manipulati
 # Motion
 
 
-def test_pick_and_place_move_a_cube_to_the_target(env: ManipulationEnv) -> None:
+def test_pick_and_place_move_a_cube_to_the_target(env):
     lay_out(env, Pose.planar(0.5, 0.1, CUBE / 2, 0.4))
     cube, *others = env.scene
     before = [obj.pose.position for obj in others]
@@ -166,7 +164,7 @@ def test_pick_and_place_move_a_cube_to_the_target(env: ManipulationEnv) -> None:
 
 
 @pytest.mark.parametrize("fast", [True, False])
-def test_tilted_pick_holds_a_cube_upright(make: Make, fast: bool) -> None:
+def test_tilted_pick_holds_a_cube_upright(make, fast):
     env = make("BulletArm/OpenLoopRampBlockStacking-v0", fast_mode=fast)
     env.reset(seed=1)
     cube = max(env.scene, key=lambda obj: obj.pose.tilt)
@@ -185,7 +183,7 @@ def test_tilted_pick_holds_a_cube_upright(make: Make, fast: bool) -> None:
 # Heights of actions without z
 
 
-def test_pick_height_is_half_a_cube_below_the_highest_point(env: ManipulationEnv) -> None:
+def test_pick_height_is_half_a_cube_below_the_highest_point(env):
     tower = [Pose.planar(0.4, -0.1, (level + 0.5) * CUBE) for level in range(2)]
     lay_out(env, Pose.planar(0.5, 0.1, CUBE / 2), *tower)
     points = ((0.5, 0.1), (0.4, -0.1), (0.5, -0.1), (0.65, 0.2))
@@ -193,7 +191,7 @@ def test_pick_height_is_half_a_cube_below_the_highest_point(env: ManipulationEnv
     assert heights == pytest.approx([CUBE / 2, 1.5 * CUBE, 0.005, 0.005], abs=1e-3)
 
 
-def test_place_height_follows_from_measurements_until_the_gripper_is_empty(env: ManipulationEnv) -> None:
+def test_place_height_follows_from_measurements_until_the_gripper_is_empty(env):
     """Simulated pose and shape are not used. A memory of measurements is part of the state."""
     lay_out(env, Pose.planar(0.4, -0.1, CUBE / 2), Pose.planar(0.4, -0.1, 1.5 * CUBE))
     assert env.control.memory is None
@@ -220,7 +218,7 @@ def test_place_height_follows_from_measurements_until_the_gripper_is_empty(env: 
 # Observation
 
 
-def slow_crop(view: ElevationMap, tool: Pose, size: int) -> np.ndarray:
+def slow_crop(view, tool, size):
     """Return the bilinear interpolation of each pixel."""
     image = np.zeros((1, size, size))
     for i, j in itertools.product(range(size), repeat=2):
@@ -233,7 +231,7 @@ def slow_crop(view: ElevationMap, tool: Pose, size: int) -> np.ndarray:
     return image
 
 
-def slow_projections(view: ElevationMap, tool: Pose, size: int) -> np.ndarray:
+def slow_projections(view, tool, size):
     """Return the sums along each axis of the voxels below the surface."""
     n, full = len(view.heights), np.zeros((size,) * 3)
     for index in itertools.product(range(size), repeat=3):
@@ -245,7 +243,7 @@ def slow_projections(view: ElevationMap, tool: Pose, size: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("sequence", ["pxyr", "pxyzrrr"])
-def test_in_hand_shows_the_heightmap_before_the_pick(make: Make, sequence: str) -> None:
+def test_in_hand_shows_the_heightmap_before_the_pick(make, sequence):
     """It stays after a failed pick, and is zero after a place, a pick of nothing and a reset."""
     env = make(STACKING, action_sequence=sequence)
     lay_out(env, Pose.planar(0.5, 0.1, CUBE / 2))
@@ -268,7 +266,7 @@ def test_in_hand_shows_the_heightmap_before_the_pick(make: Make, sequence: str) 
 # Observations from point clouds
 
 
-def cloud(env: ManipulationEnv, shows_grasped: bool) -> FloatArray:
+def cloud(env, shows_grasped):
     """Return the points of two depth cameras next to the workspace, without the arm."""
     robot = env.scene.robot
     absent = [robot.body] if shows_grasped or robot.held is None else [robot.body, robot.held]
@@ -279,7 +277,7 @@ def cloud(env: ManipulationEnv, shows_grasped: bool) -> FloatArray:
 @pytest.mark.parametrize(
     "env_kwargs", [{}, {"obs_size": 64, "workspace": [[0.32, 0.6], [-0.1, 0.18], [0.02, 0.2]]}]
 )
-def test_close_loop_heightmap_equals_the_point_cloud_view(env_kwargs: dict[str, Any], make: Make) -> None:
+def test_close_loop_heightmap_equals_the_point_cloud_view(env_kwargs, make):
     env = make("BulletArm/CloseLoopBlockStacking-v0", view="point_cloud", **env_kwargs)
     observation, _ = env.reset(seed=1)
     for _ in range(5):
@@ -292,7 +290,7 @@ def test_close_loop_heightmap_equals_the_point_cloud_view(env_kwargs: dict[str, 
     assert env.scene.held is not None
 
 
-def test_open_loop_heightmap_differs_from_the_orthographic_view_at_edges_only(make: Make) -> None:
+def test_open_loop_heightmap_differs_from_the_orthographic_view_at_edges_only(make):
     env = make("BulletArm/OpenLoopBlockStacking-v0")
     env.reset(seed=0)
     for _ in range(3):
@@ -302,7 +300,7 @@ def test_open_loop_heightmap_differs_from_the_orthographic_view_at_edges_only(ma
 
 
 @pytest.mark.parametrize("name", ["BlockStacking", "RampBlockStacking"])
-def test_in_hand_image_equals_that_of_the_environment(name: str, make: Make) -> None:
+def test_in_hand_image_equals_that_of_the_environment(name, make):
     env = make(f"BulletArm/OpenLoop{name}-v0")
     before, _ = env.reset(seed=0)
     action = env.expert_action()
@@ -313,7 +311,7 @@ def test_in_hand_image_equals_that_of_the_environment(name: str, make: Make) -> 
 
 
 @pytest.mark.parametrize("floor", [0.0, 0.01])
-def test_heights_of_picks_and_places_equal_those_of_the_environment(floor: float, make: Make) -> None:
+def test_heights_of_picks_and_places_equal_those_of_the_environment(floor, make):
     workspace = [[0.25, 0.65], [-0.2, 0.2], [floor, 1.0]]
     env = make("BulletArm/OpenLoopHouseBuilding1-v0", workspace=workspace)
     params = env.task.grasp_params
@@ -333,7 +331,7 @@ def test_heights_of_picks_and_places_equal_those_of_the_environment(floor: float
         before, *_ = env.step(action)
 
 
-def test_points_must_be_world_coordinates_in_the_square() -> None:
+def test_points_must_be_world_coordinates_in_the_square():
     tool = Pose((0.45, 0.0, 0.2))
     with pytest.raises(ValueError, match=r"points .*\(3,\)"):
         close_loop_heightmap([0.4, 0.0, 0.0], tool, 0.05)

@@ -2,13 +2,12 @@
 
 import math
 import pickle
-from typing import Any
 from unittest.mock import patch
 
 import gymnasium
 import numpy as np
 import pytest
-from rollouts import PICKING, Make, finish, transcript
+from rollouts import PICKING, finish, transcript
 
 from bulletarm_gym.config import LIFT_HEIGHT
 from bulletarm_gym.env import ManipulationEnv
@@ -29,17 +28,17 @@ SORTING = ("BulletArm/CloseLoopBlockSorting-v0", "BulletArm/OpenLoopBlockSorting
 WIDTH, LENGTH, HEIGHT = 0.045, 0.072, 0.045
 
 
-def place_while_empty(env: ManipulationEnv) -> tuple[bool, dict[str, bool]]:
+def place_while_empty(env):
     """Act without effect on the robot; return whether that terminated the episode, and the info."""
     *_, terminated, _, info = env.step(np.ones(env.action_space.shape, np.float32))
     return terminated, info
 
 
-def smallest_gap(footprints: list[Footprint]) -> float:
+def smallest_gap(footprints):
     return min(one.gap(other) for number, one in enumerate(footprints) for other in footprints[:number])
 
 
-def place(env: ManipulationEnv, frame: str, **poses: Pose) -> None:
+def place(env, frame, **poses):
     """Place objects, named with underscores, at poses in the frame of another object."""
     for name, pose in poses.items():
         env.scene[name.replace("_", " ")].place(env.scene[frame].pose.compose(pose))
@@ -48,7 +47,7 @@ def place(env: ManipulationEnv, frame: str, **poses: Pose) -> None:
 # Bin and bottles
 
 
-def test_blocks_are_packed_below_the_rim(make: Make) -> None:
+def test_blocks_are_packed_below_the_rim(make):
     env = make(PACKING, num_objects=1)
     env.reset(seed=0)
     outside = ((0.0, 0.0, 0.081), (0.09, 0.0, 0.03), (0.0, 0.074, 0.03))
@@ -57,7 +56,7 @@ def test_blocks_are_packed_below_the_rim(make: Make) -> None:
         assert env.task.evaluate(env.scene)["is_packed"] is (local not in outside)
 
 
-def test_expert_packs_eight_of_the_largest_blocks(make: Make) -> None:
+def test_expert_packs_eight_of_the_largest_blocks(make):
     env = make(PACKING)
     env.reset(seed=3)
     for item in env.scene.objects[1:]:
@@ -68,7 +67,7 @@ def test_expert_packs_eight_of_the_largest_blocks(make: Make) -> None:
     assert finish(env)[0]
 
 
-def test_bottles_are_upright_in_the_tray(make: Make) -> None:
+def test_bottles_are_upright_in_the_tray(make):
     env = make(BOTTLES, num_objects=1)
     env.reset(seed=0)
     half = env.scene["bottle 0"].spec.extents[2] / 2.0
@@ -83,13 +82,13 @@ def test_bottles_are_upright_in_the_tray(make: Make) -> None:
 
 
 @pytest.fixture
-def pallet(make: Make) -> ManipulationEnv:
+def pallet(make):
     env = make(PALLETIZING, max_steps=100)
     env.reset(seed=0)
     return env
 
 
-def stack(env: ManipulationEnv, count: int, yaw: float = 0.0) -> None:
+def stack(env, count, yaw=0.0):
     """Put boxes in the first places, all rotated by an angle (rad)."""
     for number, box in enumerate(env.scene.objects[1 : 1 + count]):
         layer, place = divmod(number, 6)
@@ -102,9 +101,7 @@ def stack(env: ManipulationEnv, count: int, yaw: float = 0.0) -> None:
     ("count", "yaw", "correct"),
     [(1, 0.35, 1), (1, -0.45, 0), (1, math.pi / 2.0, 0), (6, 0.0, 1), (7, math.pi, 1), (17, 0.0, 1)],
 )
-def test_next_box_appears_when_all_are_correct(
-    pallet: ManipulationEnv, count: int, yaw: float, correct: int
-) -> None:
+def test_next_box_appears_when_all_are_correct(pallet, count, yaw, correct):
     stack(pallet, count, yaw)
     for _ in range(2):
         place_while_empty(pallet)
@@ -112,7 +109,7 @@ def test_next_box_appears_when_all_are_correct(
     assert not pallet.task.evaluate(pallet.scene)["success"]
 
 
-def test_next_box_waits_for_full_layers_below(pallet: ManipulationEnv) -> None:
+def test_next_box_waits_for_full_layers_below(pallet):
     stack(pallet, 8)
     pallet.scene["box 2"].park()
     place_while_empty(pallet)
@@ -123,7 +120,7 @@ def test_next_box_waits_for_full_layers_below(pallet: ManipulationEnv) -> None:
 
 @pytest.mark.parametrize("env_id", [PALLETIZING, BUMP])
 @pytest.mark.parametrize("parameters", [{}, {"random_orientation": False}], ids=str)
-def test_boxes_appear_inside_and_apart(make: Make, env_id: str, parameters: dict[str, Any]) -> None:
+def test_boxes_appear_inside_and_apart(make, env_id, parameters):
     env = make(env_id, max_steps=100, **parameters)
     for seed in range(20):
         layer = seed % 3
@@ -138,7 +135,7 @@ def test_boxes_appear_inside_and_apart(make: Make, env_id: str, parameters: dict
             assert math.sin(yaw) == pytest.approx(0.0, abs=1e-3)
 
 
-def test_episode_ends_if_the_next_box_has_no_free_pose(pallet: ManipulationEnv) -> None:
+def test_episode_ends_if_the_next_box_has_no_free_pose(pallet):
     stack(pallet, 1)
     with patch("bulletarm_gym.tasks.palletizing.sample_until", side_effect=PlacementError("no room")):
         _, reward, terminated, _, info = pallet.step(np.ones(pallet.action_space.shape, np.float32))
@@ -149,7 +146,7 @@ def test_episode_ends_if_the_next_box_has_no_free_pose(pallet: ManipulationEnv) 
     assert not pallet.task.is_valid(pallet.scene)
 
 
-def test_expert_corrects_a_misplaced_box(make: Make) -> None:
+def test_expert_corrects_a_misplaced_box(make):
     env = make(PALLETIZING, max_steps=100, num_objects=6)
     env.reset(seed=2)
     for _ in range(5):
@@ -167,13 +164,13 @@ def test_expert_corrects_a_misplaced_box(make: Make) -> None:
 
 
 @pytest.fixture
-def covid(make: Make) -> ManipulationEnv:
+def covid(make):
     env = make(COVID, max_steps=100)
     env.reset(seed=0)
     return env
 
 
-def test_containers_touch_and_are_inside(make: Make) -> None:
+def test_containers_touch_and_are_inside(make):
     env = make(COVID)
     for seed in range(20):
         env.reset(seed=seed)
@@ -185,7 +182,7 @@ def test_containers_touch_and_are_inside(make: Make) -> None:
         assert len(loose) == 6 and all(inside(obj, containers[0]) for obj in loose)
 
 
-def test_pair_becomes_a_used_tube_at_a_random_pose(make: Make) -> None:
+def test_pair_becomes_a_used_tube_at_a_random_pose(make):
     env, poses = make(COVID, max_steps=100), []
     for seed in range(12):
         env.reset(seed=seed)
@@ -203,20 +200,20 @@ def test_pair_becomes_a_used_tube_at_a_random_pose(make: Make) -> None:
 
 
 @pytest.mark.parametrize("names", [("swab_0", "swab_1"), ("tube_0", "tube_1"), ("tube_0", "used_tube_0")])
-def test_two_of_a_kind_in_the_test_area_are_invalid(covid: ManipulationEnv, names: tuple[str, str]) -> None:
+def test_two_of_a_kind_in_the_test_area_are_invalid(covid, names):
     place(covid, "test area", **{names[0]: Pose((0.0, -0.06, 0.012)), names[1]: Pose((0.0, 0.06, 0.012))})
     terminated, info = place_while_empty(covid)
     assert terminated and not info["is_valid"] and not info["is_success"]
 
 
-def test_three_used_tubes_in_their_box_are_the_goal(covid: ManipulationEnv) -> None:
+def test_three_used_tubes_in_their_box_are_the_goal(covid):
     for number in range(3):
         assert not covid.task.evaluate(covid.scene)["success"]
         place(covid, "used box", **{f"used_tube_{number}": Pose((0.0, 0.025 * (number - 1), 0.012))})
     assert covid.task.evaluate(covid.scene)["success"]
 
 
-def test_fingers_around_a_swab_keep_clear_of_the_tubes(make: Make) -> None:
+def test_fingers_around_a_swab_keep_clear_of_the_tubes(make):
     env = make("BulletArm/CloseLoopCovidTest-v0", robot="ur5_robotiq")
     gripper = env.scene.robot.model.gripper
     thickness, width, _ = gripper.finger
@@ -233,7 +230,7 @@ def test_fingers_around_a_swab_keep_clear_of_the_tubes(make: Make) -> None:
 # Sorting
 
 
-def fill_bowls(env: ManipulationEnv, swapped: bool) -> None:
+def fill_bowls(env, swapped):
     """Place two cubes in each bowl, of its colour or of the other."""
     env.reset(seed=0)
     x, y = env.config.centre
@@ -247,7 +244,7 @@ def fill_bowls(env: ManipulationEnv, swapped: bool) -> None:
 
 
 @pytest.mark.parametrize("env_id", SORTING)
-def test_only_colours_show_which_cubes_are_sorted(make: Make, env_id: str) -> None:
+def test_only_colours_show_which_cubes_are_sorted(make, env_id):
     env, observed = make(env_id), []
     for swapped in (False, True):
         fill_bowls(env, swapped)
@@ -261,7 +258,7 @@ def test_only_colours_show_which_cubes_are_sorted(make: Make, env_id: str) -> No
     assert not np.array_equal(observed[0]["color"], observed[1]["color"])
 
 
-def test_cube_next_to_its_bowl_is_not_sorted_and_a_fallen_bowl_is_invalid(make: Make) -> None:
+def test_cube_next_to_its_bowl_is_not_sorted_and_a_fallen_bowl_is_invalid(make):
     env = make(SORTING[0])
     fill_bowls(env, swapped=False)
     env.scene["red cube 0"].place(Pose.planar(env.config.centre[0] + 0.1, 0.0, 0.015))
@@ -277,15 +274,15 @@ ENV_ID = "BulletArm/CloseLoopObjectGrasping-v0"
 
 
 @pytest.fixture
-def env(make: Make) -> ManipulationEnv:
+def env(make):
     return make(ENV_ID)
 
 
-def _poses(env: ManipulationEnv) -> dict[str, Pose]:
+def _poses(env):
     return {item.slot.name: item.pose for item in env.scene}
 
 
-def _solve(env: ManipulationEnv, noise: float = 0.0) -> bool:
+def _solve(env, noise=0.0):
     rng = np.random.default_rng(0)
     for _ in range(env.config.max_steps):
         action = np.clip(env.expert_action() + rng.normal(0.0, noise, env.action_space.shape), -1.0, 1.0)
@@ -295,7 +292,7 @@ def _solve(env: ManipulationEnv, noise: float = 0.0) -> bool:
     raise AssertionError("no episode lasts longer than max_steps")
 
 
-def test_grasped_object_is_removed_at_reset_and_the_others_stay(env: ManipulationEnv, make: Make) -> None:
+def test_grasped_object_is_removed_at_reset_and_the_others_stay(env, make):
     """Also in the state."""
     _, info = env.reset(seed=1)
     before = set(_poses(env))
@@ -314,7 +311,7 @@ def test_grasped_object_is_removed_at_reset_and_the_others_stay(env: Manipulatio
     assert transcript(other, 8) == transcript(env, 8)
 
 
-def test_scene_is_new_only_with_a_seed_an_option_or_an_invalid_scene(env: ManipulationEnv) -> None:
+def test_scene_is_new_only_with_a_seed_an_option_or_an_invalid_scene(env):
     env.reset(seed=2)
     before = _poses(env)
     for arguments in ({}, {"options": {"new_scene": False}}):
@@ -328,7 +325,7 @@ def test_scene_is_new_only_with_a_seed_an_option_or_an_invalid_scene(env: Manipu
     assert _poses(env).keys() != before.keys() and len(_poses(env)) == 5
 
 
-def test_new_objects_appear_when_all_are_grasped(make: Make) -> None:
+def test_new_objects_appear_when_all_are_grasped(make):
     env, names = make(ENV_ID, num_objects=1), set()
     env.reset(seed=0)
     for _ in range(4):
@@ -348,7 +345,7 @@ def test_new_objects_appear_when_all_are_grasped(make: Make) -> None:
     ],
     ids=["pxyzr", "pxyz", "noise"],
 )
-def test_expert_clears_the_tray(make: Make, parameters: dict[str, Any], noise: float) -> None:
+def test_expert_clears_the_tray(make, parameters, noise):
     env, outcomes = make(ENV_ID, **parameters), []
     env.reset(seed=0)
     for _ in range(8):
@@ -357,7 +354,7 @@ def test_expert_clears_the_tray(make: Make, parameters: dict[str, Any], noise: f
     assert sum(outcomes) >= 7
 
 
-def test_tray_is_possible_in_other_tasks(make: Make) -> None:
+def test_tray_is_possible_in_other_tasks(make):
     env = make(PICKING, close_loop_tray=True)
     observation, _ = env.reset(seed=0)
     assert env.scene["cube"].pose.z == pytest.approx(0.027, abs=1e-3)
@@ -367,7 +364,7 @@ def test_tray_is_possible_in_other_tasks(make: Make) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("robot", ["kuka", "panda", "ur5", "ur5_robotiq"])
-def test_every_object_alone_is_lifted(robot: str) -> None:
+def test_every_object_alone_is_lifted(robot):
     env = gymnasium.make(ENV_ID, robot=robot, num_objects=1).unwrapped
     assert isinstance(env, ManipulationEnv) and isinstance(env.task, ObjectGrasping)
     failing = {}

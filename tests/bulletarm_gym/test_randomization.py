@@ -6,7 +6,6 @@ import re
 from dataclasses import fields
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import gymnasium
 import numpy as np
@@ -15,7 +14,6 @@ from gymnasium.utils.env_checker import check_env
 from rollouts import (
     PICKING,
     TYPICAL,
-    Make,
     advance,
     digest,
     finish,
@@ -26,7 +24,6 @@ from rollouts import (
 
 import bulletarm_gym
 from bulletarm_gym.demonstrations import json_state
-from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.observations.depth_noise import measured_depths
 from bulletarm_gym.randomization import NAMES, PRESETS, Randomization
 from bulletarm_gym.simulation.state import Properties
@@ -45,7 +42,7 @@ PREFIX = "randomization/"
 FACTORS = {"object_friction": 0.8, "surface_friction": 1.2, "object_mass": 0.5}
 
 
-def values_of(info: dict[str, Any]) -> dict[str, Any]:
+def values_of(info):
     """Return the sampled values in an info."""
     return {key.removeprefix(PREFIX): value for key, value in info.items() if key.startswith(PREFIX)}
 
@@ -54,7 +51,7 @@ def values_of(info: dict[str, Any]) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_invalid_range_is_rejected_by_name(name: str) -> None:
+def test_invalid_range_is_rejected_by_name(name):
     for value in ([2.0, -2.0], [0.0, 99.0], float("nan"), "much", ["1", "1"], [1.0], None):
         with pytest.raises(ValueError, match=rf"^{name} must be a number or \[low, high\], from .*, got "):
             Randomization(**{name: value})
@@ -70,14 +67,14 @@ def test_invalid_range_is_rejected_by_name(name: str) -> None:
         (STACKING, {"action_delay": 0.1}, r"randomization: action_delay must be 0 .*, got \[0\.1, 0\.1\]"),
     ],
 )
-def test_invalid_randomization_is_rejected(env_id: str, value: Any, message: str) -> None:
+def test_invalid_randomization_is_rejected(env_id, value, message):
     with pytest.raises(ValueError, match=message):
         make_env(env_id, randomization=value)
 
 
-def test_a_randomization_is_stored_as_json() -> None:
+def test_a_randomization_is_stored_as_json():
     ranges = Randomization(object_mass=(0.5, 2.0), depth_noise=0.001)
-    env: Any = gymnasium.make(PICKING, randomization=ranges, obs_size=16)
+    env = gymnasium.make(PICKING, randomization=ranges, obs_size=16)
     stored = {"object_mass": [0.5, 2.0], "depth_noise": [0.001, 0.001]}
     assert env.unwrapped.config.randomization == stored == env.spec.kwargs["randomization"]
     assert gymnasium.envs.registration.EnvSpec.from_json(env.spec.to_json()) == env.spec
@@ -87,7 +84,7 @@ def test_a_randomization_is_stored_as_json() -> None:
 
 
 @pytest.mark.parametrize("env_id", [PICKING, STACKING])
-def test_sampled_values_are_in_info(make: Make, env_id: str) -> None:
+def test_sampled_values_are_in_info(make, env_id):
     env = make(env_id, obs_size=32, randomization="real")
     ranges = Randomization.of("real", is_open_loop(env_id))
     seen = []
@@ -106,14 +103,14 @@ def test_sampled_values_are_in_info(make: Make, env_id: str) -> None:
 # Properties of bodies
 
 
-def in_engine(env: ManipulationEnv) -> tuple[Any, ...]:
+def in_engine(env):
     """Return the engine's dynamics and colour of the cube."""
     client, body = env.scene.world.client, env.scene["cube"].body
     (shape,) = client.getVisualShapeData(body.id)
     return (*client.getDynamicsInfo(body.id, -1)[:8], tuple(np.float32(shape[7]).tolist()))
 
 
-def test_properties_are_in_effect_until_the_next_reset(picking: ManipulationEnv) -> None:
+def test_properties_are_in_effect_until_the_next_reset(picking):
     expected = transcript(picking, 20, seed=0)
     picking.reset(seed=0)
     item = picking.scene["cube"]
@@ -131,7 +128,7 @@ def test_properties_are_in_effect_until_the_next_reset(picking: ManipulationEnv)
     assert transcript(picking, 20, seed=0) == expected
 
 
-def test_colour_in_effect_is_observed_and_rendered(make: Make) -> None:
+def test_colour_in_effect_is_observed_and_rendered(make):
     env = make(PICKING, render_mode="rgb_array", observation=["color"], obs_size=32)
     env.reset(seed=0)
     before = env.render()
@@ -140,7 +137,7 @@ def test_colour_in_effect_is_observed_and_rendered(make: Make) -> None:
     assert changed.all(axis=1).any() and (env.render() != before).any()
 
 
-def test_property_out_of_range_is_rejected(make: Make) -> None:
+def test_property_out_of_range_is_rejected(make):
     env = make("BulletArm/CloseLoopCornerPicking-v0")
     env.reset(seed=0)
     before = env.get_state()
@@ -164,7 +161,7 @@ def test_property_out_of_range_is_rejected(make: Make) -> None:
 # Effects
 
 
-def test_factors_change_the_properties_of_bodies(make: Make) -> None:
+def test_factors_change_the_properties_of_bodies(make):
     env = make(DRAWER, randomization={**FACTORS, "gripper_force": 1.5, "colour": 0.5})
     env.reset(seed=0)
     world, robot = env.scene.world, env.scene.robot
@@ -180,7 +177,7 @@ def test_factors_change_the_properties_of_bodies(make: Make) -> None:
     make(DRAWER).reset(seed=0)
 
 
-def test_resistance_of_joints_changes_motions(make: Make) -> None:
+def test_resistance_of_joints_changes_motions(make):
     found = []
     for ranges in (None, {"joint_resistance": 1.0}, {"joint_resistance": 10.0}):
         env = make(DRAWER, randomization=ranges)
@@ -191,7 +188,7 @@ def test_resistance_of_joints_changes_motions(make: Make) -> None:
     assert found[0] == found[1] != found[2]
 
 
-def test_weak_gripper_drops_a_heavy_cube(make: Make) -> None:
+def test_weak_gripper_drops_a_heavy_cube(make):
     ranges = {"gripper_force": [0.1, 1.0], "object_mass": [1.0, 10.0]}
     env = make(PICKING, randomization=ranges, max_steps=20)
     lifted = []
@@ -201,7 +198,7 @@ def test_weak_gripper_drops_a_heavy_cube(make: Make) -> None:
     assert lifted == [True, False]
 
 
-def test_calibration_error_moves_images(make: Make) -> None:
+def test_calibration_error_moves_images(make):
     above = {"name": "above", "sensor": "depth", "position": [0.45, 0, 1], "target": [0.45, 0, 0]}
     exact, shifted, rotated = (
         make(PICKING, observation=["heightmap", above, "point_cloud"], randomization=error)
@@ -220,7 +217,7 @@ def test_calibration_error_moves_images(make: Make) -> None:
     assert 1e-3 < np.abs(clouds[0] - clouds[1]).max() < 0.06, "computed with the nominal camera"
 
 
-def test_light_changes_rendered_images(make: Make) -> None:
+def test_light_changes_rendered_images(make):
     images = [
         make(PICKING, render_mode="rgb_array", render_size=64, randomization=ranges)
         for ranges in (None, {"light_brightness": 0.5}, {"light_direction": [-0.5, -0.5]})
@@ -235,7 +232,7 @@ FLAT = np.full((64, 64), 0.8, np.float32)
 EDGE = np.where(np.arange(64) < 32, 0.8, 0.9).astype(np.float32) * np.ones((64, 1), np.float32)
 
 
-def test_depth_noise_grows_with_the_square_of_the_distance() -> None:
+def test_depth_noise_grows_with_the_square_of_the_distance():
     noise = partial(measured_depths, {"depth_noise": 0.002}, 0)
     for distance in (0.5, 1.0, 2.0):
         errors = noise(np.full((128, 128), distance, np.float32)) - distance
@@ -243,7 +240,7 @@ def test_depth_noise_grows_with_the_square_of_the_distance() -> None:
         assert abs(errors.mean()) < 1e-4
 
 
-def test_depth_step_and_missing_pixels() -> None:
+def test_depth_step_and_missing_pixels():
     """Depths are multiples of a step of disparity; a missing pixel has the depth to its left."""
     depths = measured_depths({"depth_step": 0.01}, 0, np.linspace(0.9, 1.1, 64, dtype=np.float32)[None])
     found = np.unique(depths)
@@ -254,14 +251,14 @@ def test_depth_step_and_missing_pixels() -> None:
     assert (depths <= ramp).all() and (depths[:, 0] == 1.0).all()
 
 
-def test_edges_are_ragged_and_planes_are_not() -> None:
+def test_edges_are_ragged_and_planes_are_not():
     noise = partial(measured_depths, {"depth_edges": 0.5}, 0)
     assert (noise(FLAT) == FLAT).all()
     changed = (noise(EDGE) != EDGE).any(axis=0)
     assert changed[31:33].all() and not changed[:31].any() and not changed[33:].any()
 
 
-def test_errors_differ_between_seeds_and_cameras(make: Make) -> None:
+def test_errors_differ_between_seeds_and_cameras(make):
     env = make(PICKING, randomization="real", observation=["heightmap"])
     env.reset(seed=0)
     camera = env.cameras["render"].camera
@@ -277,7 +274,7 @@ def test_errors_differ_between_seeds_and_cameras(make: Make) -> None:
 # Actions
 
 
-def test_delayed_actions_are_executed_one_step_later(make: Make) -> None:
+def test_delayed_actions_are_executed_one_step_later(make):
     env, late = make(PICKING), make(PICKING, randomization={"action_delay": 1.0})
     actions = np.random.default_rng(0).uniform(-0.5, 0.5, (4, 5)).astype(np.float32)
     actions[:, 0] = 1.0
@@ -292,7 +289,7 @@ def test_delayed_actions_are_executed_one_step_later(make: Make) -> None:
         assert np.allclose(env.scene.robot.pose.position, late.scene.robot.pose.position, atol=1e-3)
 
 
-def test_action_noise_spares_the_opening(make: Make) -> None:
+def test_action_noise_spares_the_opening(make):
     env = make(PICKING, randomization={"action_noise": 0.2})
     openings, moves = [], []
     for seed in range(12):
@@ -310,7 +307,7 @@ def test_action_noise_spares_the_opening(make: Make) -> None:
 # Exactness
 
 
-def check_exactness(make: Make, env_id: str, **parameters: Any) -> None:
+def check_exactness(make, env_id, **parameters):
     """Check determinism, states in another instance, JSON and pickles."""
     parameters = {"obs_size": 32, **parameters}
     env, other = (make(env_id, number, randomization="real", **parameters) for number in range(2))
@@ -335,18 +332,18 @@ def check_exactness(make: Make, env_id: str, **parameters: Any) -> None:
     [*TYPICAL, *(pytest.param(i, marks=pytest.mark.slow) for i in bulletarm_gym.ENV_IDS if i not in TYPICAL)],
     ids=lambda env_id: env_id.split("/")[1],
 )
-def test_real_randomization_is_exact(make: Make, env_id: str) -> None:
+def test_real_randomization_is_exact(make, env_id):
     check_exactness(make, env_id)
     check_env(make(env_id, randomization="real", obs_size=32), skip_render_check=True)
 
 
-def test_all_sensors_are_exact(make: Make) -> None:
+def test_all_sensors_are_exact(make):
     cameras = ["heightmap", "rgb", "depth", "point_cloud"]
     check_exactness(make, PICKING, view="point_cloud", observation=cameras)
     check_exactness(make, PICKING, observation=["heightmap", "color", "segmentation", "state"])
 
 
-def random_ranges(rng: np.random.Generator, open_loop: bool) -> dict[str, list[float]]:
+def random_ranges(rng, open_loop):
     """Return accepted ranges of some quantities."""
     chosen = [entry for entry in fields(Randomization) if rng.random() < 0.5]
     ranges = {entry.name: sorted(rng.uniform(*entry.metadata["limits"], 2).tolist()) for entry in chosen}
@@ -354,7 +351,7 @@ def random_ranges(rng: np.random.Generator, open_loop: bool) -> dict[str, list[f
 
 
 @pytest.mark.parametrize("resets", [60, pytest.param(1000, marks=pytest.mark.slow)])
-def test_resets_with_random_ranges(resets: int) -> None:
+def test_resets_with_random_ranges(resets):
     rng = np.random.default_rng(0)
     for number in range(resets // 10):
         env_id = TYPICAL[number % len(TYPICAL)]
@@ -371,7 +368,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "guides" / "randomization.md"
 ROW = re.compile(r"^\| `(\w+)` \|.*\| ([-\d.]+) to ([-\d.]+) \| ([-\d.]+) to ([-\d.]+) \|$", re.MULTILINE)
 
 
-def test_the_page_has_the_ranges_of_the_presets() -> None:
+def test_the_page_has_the_ranges_of_the_presets():
     rows = {
         name: [float(end) for end in ends] for name, *ends in ROW.findall(PAGE.read_text(encoding="utf-8"))
     }

@@ -1,27 +1,25 @@
 """Options of a reset: narrowed sizes, numbers and randomisation; those that are rejected."""
 
 import re
-from pathlib import Path
-from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
-from rollouts import PICKING, Make, digest, finish, transcript
+from rollouts import PICKING, digest, finish, transcript
 from stable_baselines3.common.env_util import make_vec_env
 
 from bulletarm_gym.demonstrations import RecordDemonstrations, json_state, load, replay
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.objects import bowl
 from bulletarm_gym.objects.containers import BOWL_DIAMETER
-from bulletarm_gym.scene import ObjectSlot, scaled
+from bulletarm_gym.scene import scaled
 from bulletarm_gym.tasks.picking import BlockInBowl
 from bulletarm_gym.wrappers import ResetOptions
 
 GRASPING = "BulletArm/CloseLoopObjectGrasping-v0"
 PALLETIZING = "BulletArm/OpenLoopBoxPalletizing-v0"
 SIZES = {"object_scale_range": [0.6, 1.0], "obs_size": 32}
-FEWER: list[tuple[str, dict[str, Any], int]] = [
+FEWER = [
     ("BulletArm/OpenLoopBlockStacking-v0", {}, 2),
     ("BulletArm/OpenLoopHouseBuilding1-v0", {"object_scale_range": [0.5, 0.6]}, 2),
     ("BulletArm/CloseLoopBlockStacking-v0", {"num_objects": 3}, 2),
@@ -34,12 +32,12 @@ FEWER: list[tuple[str, dict[str, Any], int]] = [
 """Ids, parameters and smaller numbers of objects."""
 
 
-def side(env: ManipulationEnv) -> float:
+def side(env):
     """Return the scale of the cube."""
     return round(env.scene["cube"].spec.extents[0] / 0.05, 3)
 
 
-def test_scales_are_narrowed_for_one_episode(make: Make) -> None:
+def test_scales_are_narrowed_for_one_episode(make):
     env = make(PICKING, **SIZES)
     env.reset(seed=0)
     narrow = {side(env) for _ in range(15) if env.reset(options={"object_scale_range": [0.7, 0.74]})}
@@ -50,7 +48,7 @@ def test_scales_are_narrowed_for_one_episode(make: Make) -> None:
     assert min(wide) < 0.7 and max(wide) > 0.9
 
 
-def test_narrowing_to_the_range_of_the_environment_changes_nothing(make: Make) -> None:
+def test_narrowing_to_the_range_of_the_environment_changes_nothing(make):
     env = make(PICKING, **SIZES)
     expected = [digest(*env.reset(seed=3)), digest(*env.reset())]
     options = {"object_scale_range": [0.6, 1.0], "num_objects": 1, "randomization": None}
@@ -58,7 +56,7 @@ def test_narrowing_to_the_range_of_the_environment_changes_nothing(make: Make) -
 
 
 @pytest.mark.parametrize("case", FEWER, ids=lambda case: case[0].split("/")[1])
-def test_expert_solves_episodes_with_fewer_objects(make: Make, case: tuple[str, dict[str, Any], int]) -> None:
+def test_expert_solves_episodes_with_fewer_objects(make, case):
     env_id, parameters, count = case
     env = make(env_id, obs_size=32, **parameters)
     env.reset(seed=0)
@@ -75,7 +73,7 @@ def test_expert_solves_episodes_with_fewer_objects(make: Make, case: tuple[str, 
 
 
 @pytest.mark.parametrize("case", FEWER[:3], ids=lambda case: case[0].split("/")[1])
-def test_state_of_a_narrowed_episode_is_exact(make: Make, case: tuple[str, dict[str, Any], int]) -> None:
+def test_state_of_a_narrowed_episode_is_exact(make, case):
     env_id, parameters, count = case
     env, other = (make(env_id, number, obs_size=32, **parameters) for number in range(2))
     low, high = env.config.object_scale_range
@@ -89,7 +87,7 @@ def test_state_of_a_narrowed_episode_is_exact(make: Make, case: tuple[str, dict[
     assert other.get_state() == state and transcript(other, 8) == expected
 
 
-def test_clutter_is_kept_while_the_number_is_the_same(make: Make) -> None:
+def test_clutter_is_kept_while_the_number_is_the_same(make):
     env = make(GRASPING, obs_size=32)
     env.reset(seed=0)
     options = {"num_objects": 2}
@@ -128,7 +126,7 @@ def test_clutter_is_kept_while_the_number_is_the_same(make: Make) -> None:
     ],
     ids=str,
 )
-def test_invalid_options_are_rejected(make: Make, options: Any, message: str) -> None:
+def test_invalid_options_are_rejected(make, options, message):
     env = make(PICKING, **SIZES)
     env.reset(seed=0)
     state = env.get_state()
@@ -137,7 +135,7 @@ def test_invalid_options_are_rejected(make: Make, options: Any, message: str) ->
     assert env.get_state() == state
 
 
-def test_state_after_the_end_and_other_options_are_rejected(make: Make) -> None:
+def test_state_after_the_end_and_other_options_are_rejected(make):
     env, wrong = ResetOptions(make(PICKING, **SIZES), {"num_objects": 1}), 3
     env.reset(seed=0)
     finish(env)
@@ -151,7 +149,7 @@ def test_state_after_the_end_and_other_options_are_rejected(make: Make) -> None:
 # Vector environments
 
 
-def test_options_reach_the_members_of_sb3() -> None:
+def test_options_reach_the_members_of_sb3():
     envs = make_vec_env(PICKING, n_envs=2, env_kwargs={**SIZES, "max_steps": 1}, wrapper_class=ResetOptions)
     envs.set_options([{"object_scale_range": 0.7}, {"object_scale_range": 0.8}])
     envs.reset()
@@ -167,7 +165,7 @@ def test_options_reach_the_members_of_sb3() -> None:
     assert cores[1].get_state() == state
 
 
-def test_options_reach_the_members_of_gymnasium() -> None:
+def test_options_reach_the_members_of_gymnasium():
     envs = gymnasium.make_vec(
         PICKING,
         num_envs=2,
@@ -187,7 +185,7 @@ def test_options_reach_the_members_of_gymnasium() -> None:
 # Demonstrations
 
 
-def test_narrowed_episodes_are_recorded_and_replay(tmp_path: Path) -> None:
+def test_narrowed_episodes_are_recorded_and_replay(tmp_path):
     path = tmp_path / "picking.h5"
     parameters = {**SIZES, "randomization": "real"}
     env = RecordDemonstrations(gymnasium.make(PICKING, **parameters), path)
@@ -195,7 +193,7 @@ def test_narrowed_episodes_are_recorded_and_replay(tmp_path: Path) -> None:
         env.reset(seed=seed, options={"object_scale_range": 0.7, "randomization": {"object_mass": 0.6}})
         finish(env)
     recorded = load(path)
-    other: Any = recorded.make_env().unwrapped
+    other = recorded.make_env().unwrapped
     assert len(recorded) == 3 and other.config.randomization == "real"
     for number, episode in enumerate(recorded):
         assert dict(episode.state.sampled)["object_mass"] == 0.6
@@ -209,13 +207,13 @@ def test_narrowed_episodes_are_recorded_and_replay(tmp_path: Path) -> None:
 class CoupledInBowl(BlockInBowl):
     """Put a cube into a bowl of the same scale."""
 
-    def bodies(self, config: Any) -> list[ObjectSlot]:
+    def bodies(self, config):
         """Return a cube and a bowl that always have the same scale."""
         block, _ = super().bodies(config)
         return [block, scaled(config, "bowl", bowl, like="cube")]
 
 
-def test_coupled_objects_have_the_same_scale() -> None:
+def test_coupled_objects_have_the_same_scale():
     env = ManipulationEnv("test_reset_options:CoupledInBowl", "close_loop", **SIZES)
     sizes = set()
     for seed in range(10):

@@ -2,17 +2,15 @@
 
 import itertools
 import math
-from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from rollouts import PICKING, TYPICAL, Make, finish, step_on
+from rollouts import PICKING, TYPICAL, finish, step_on
 
 from bulletarm_gym.check.robot import TILT, grid
 from bulletarm_gym.config import WORKSPACES
-from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.geometry import FloatArray, Pose, conjugate, euler_pose, multiply, wrap_angle
-from bulletarm_gym.robots import ROBOTS, OutOfReachError, Robot, RobotModel
+from bulletarm_gym.geometry import Pose, conjugate, euler_pose, multiply, wrap_angle
+from bulletarm_gym.robots import ROBOTS, OutOfReachError
 from bulletarm_gym.robots.kinematics import POSITION_TOLERANCE
 from bulletarm_gym.simulation.motion import interpolate_path
 
@@ -23,11 +21,11 @@ SHARES = {"kuka": (0.91, 0.74), "panda": (1.0, 0.9), "ur5": (1.0, 1.0), "ur5_rob
 
 
 @pytest.fixture(params=ROBOTS.values(), ids=lambda model: model.name)
-def model(request: pytest.FixtureRequest) -> RobotModel:
+def model(request):
     return request.param
 
 
-def at_rest(make: Make, model: RobotModel, fast: bool = True) -> ManipulationEnv:
+def at_rest(make, model, fast=True):
     env = make(PICKING, robot=model.name, fast_mode=fast)
     env.reset(seed=0)
     env.scene["cube"].place(CORNER)
@@ -35,16 +33,16 @@ def at_rest(make: Make, model: RobotModel, fast: bool = True) -> ManipulationEnv
 
 
 @pytest.fixture
-def armed(make: Make, model: RobotModel) -> ManipulationEnv:
+def armed(make, model):
     return at_rest(make, model)
 
 
 @pytest.fixture
-def robot(armed: ManipulationEnv) -> Robot:
+def robot(armed):
     return armed.scene.robot
 
 
-def far(first: Pose, second: Pose) -> float:
+def far(first, second):
     """Return the distance (m) or the angle (rad) between two poses, whichever is larger."""
     x, y, z, w = multiply(conjugate(first.orientation), second.orientation)
     return max(math.dist(first.position, second.position), 2.0 * math.atan2(math.hypot(x, y, z), abs(w)))
@@ -53,7 +51,7 @@ def far(first: Pose, second: Pose) -> float:
 # Kinematics
 
 
-def reached(model: RobotModel, heights: Sequence[float], control: str, tilt: float = 0.0) -> float:
+def reached(model, heights, control, tilt=0.0):
     """Return the share of poses in reach; their solutions must be exact and inside the limits."""
     (lower, upper), found = model.chain.limits.T, []
     for pose in grid(WORKSPACES[control], heights, 5 if tilt else 7, tilt):
@@ -65,14 +63,14 @@ def reached(model: RobotModel, heights: Sequence[float], control: str, tilt: flo
     return float(np.mean(found))
 
 
-def test_inverse_kinematics_is_exact_within_the_limits(model: RobotModel) -> None:
+def test_inverse_kinematics_is_exact_within_the_limits(model):
     upright, tilted = SHARES[model.name]
     assert reached(model, (0.01, 0.07, 0.13, 0.19, 0.25), "close_loop") == 1.0
     assert reached(model, (0.02, 0.1, 0.25), "open_loop") >= upright
     assert reached(model, (0.02, 0.1, 0.2), "open_loop", TILT) >= tilted
 
 
-def test_solutions_are_exact_from_rotated_postures(model: RobotModel) -> None:
+def test_solutions_are_exact_from_rotated_postures(model):
     """A rotation error of half a turn is not mistaken for none."""
     poses = list(grid(WORKSPACES["close_loop"], (0.05, 0.2), 3))
     for joint, angle in itertools.product(range(len(model.joints)), (math.pi, math.pi / 2.0, -math.pi / 2.0)):
@@ -83,7 +81,7 @@ def test_solutions_are_exact_from_rotated_postures(model: RobotModel) -> None:
             assert error > POSITION_TOLERANCE or far(model.chain.forward(joints), pose) < 1e-3
 
 
-def test_joints_depend_on_the_pose_alone(robot: Robot) -> None:
+def test_joints_depend_on_the_pose_alone(robot):
     goal = Pose.planar(0.5, 0.1, 0.12, 0.4)
     first = robot.inverse_kinematics(goal)
     robot.home(Pose.planar(0.35, -0.1, 0.24, -1.0))
@@ -98,7 +96,7 @@ def test_joints_depend_on_the_pose_alone(robot: Robot) -> None:
 
 
 @pytest.mark.parametrize("fast", [True, False])
-def test_motions_arrive(make: Make, model: RobotModel, fast: bool) -> None:
+def test_motions_arrive(make, model, fast):
     env = at_rest(make, model, fast)
     robot, tilted = env.scene.robot, euler_pose((0.5, 0.08, 0.2), (TILT, 0.2, 0.6))
     for goal in (Pose.planar(0.5, 0.08, 0.2, 0.6), tilted, Pose.planar(0.45, 0.0, 0.15)):
@@ -113,7 +111,7 @@ def test_motions_arrive(make: Make, model: RobotModel, fast: bool) -> None:
         assert robot.opening_ratio == pytest.approx(ratio, abs=0.03) and robot.held is None
 
 
-def test_motions_keep_to_the_straight_line(robot: Robot) -> None:
+def test_motions_keep_to_the_straight_line(robot):
     """Near a joint limit of the wrist the elbow would swing by centimetres: such a motion is refused."""
     rng, tried = np.random.default_rng(0), 0
     for _ in range(100):
@@ -136,7 +134,7 @@ def test_motions_keep_to_the_straight_line(robot: Robot) -> None:
         assert deviation(robot, start, end) < 4e-3
 
 
-def deviation(robot: Robot, start: Pose, end: Pose) -> float:
+def deviation(robot, start, end):
     """Return the maximum distance (m) of a motion from the line between two poses."""
     stops = [robot.joint_positions, *robot._line(start, end), robot.inverse_kinematics(end)]
     path = interpolate_path(stops, np.linspace(0.0, 1.0, 41))
@@ -144,12 +142,12 @@ def deviation(robot: Robot, start: Pose, end: Pose) -> float:
     return max(off_line(np.array(robot.model.chain.forward(j).position), first, last) for j in path)
 
 
-def off_line(point: FloatArray, start: FloatArray, end: FloatArray) -> float:
+def off_line(point, start, end):
     way = end - start
     return math.dist(point, start + way * np.clip((point - start) @ way / (way @ way), 0.0, 1.0))
 
 
-def test_joints_move_to_positions_and_are_measured(armed: ManipulationEnv, robot: Robot) -> None:
+def test_joints_move_to_positions_and_are_measured(armed, robot):
     goal = np.add(robot.joint_positions, 0.1)
     armed.scene.begin()
     robot.move_joints(goal)
@@ -164,7 +162,7 @@ def test_joints_move_to_positions_and_are_measured(armed: ManipulationEnv, robot
 
 
 @pytest.mark.parametrize("direction", [1.0, -1.0])
-def test_rotation_stops_at_the_joint_limits(armed: ManipulationEnv, robot: Robot, direction: float) -> None:
+def test_rotation_stops_at_the_joint_limits(armed, robot, direction):
     lower, upper = robot.model.chain.limits.T
     armed.step([1.0, 0.6, 0.4, -0.5, 0.0])
     start = robot.pose
@@ -179,7 +177,7 @@ def test_rotation_stops_at_the_joint_limits(armed: ManipulationEnv, robot: Robot
 
 
 @pytest.mark.parametrize("direction", [1.0, -1.0])
-def test_expert_rotates_away_from_a_joint_limit(armed: ManipulationEnv, direction: float) -> None:
+def test_expert_rotates_away_from_a_joint_limit(armed, direction):
     armed.reset(seed=0)
     for _ in range(10):
         armed.step([1.0, 0.0, 0.0, 0.0, direction])
@@ -188,7 +186,7 @@ def test_expert_rotates_away_from_a_joint_limit(armed: ManipulationEnv, directio
 
 
 @pytest.mark.parametrize("task", ["BlockPicking", "BlockPulling"])
-def test_expert_solves_tasks_with_each_arm(make: Make, model: RobotModel, task: str) -> None:
+def test_expert_solves_tasks_with_each_arm(make, model, task):
     env = make(f"BulletArm/CloseLoop{task}-v0", robot=model.name)
     for seed in range(3):
         env.reset(seed=seed)
@@ -197,7 +195,7 @@ def test_expert_solves_tasks_with_each_arm(make: Make, model: RobotModel, task: 
 
 
 @pytest.mark.parametrize("env_id", [env_id for env_id in TYPICAL if "Grasping" not in env_id])
-def test_initial_poses_do_not_depend_on_the_arm(make: Make, env_id: str) -> None:
+def test_initial_poses_do_not_depend_on_the_arm(make, env_id):
     starts = set()
     for name in ("kuka", "panda", "ur5"):
         env = make(env_id, robot=name, obs_size=16)
@@ -209,7 +207,7 @@ def test_initial_poses_do_not_depend_on_the_arm(make: Make, env_id: str) -> None
 # Grasps
 
 
-def grasp(env: ManipulationEnv, seed: int = 3) -> Pose:
+def grasp(env, seed=3):
     """Let the expert grasp the cube; return the cube's pose in the gripper."""
     env.reset(seed=seed)
     while env.scene.held is None or env.scene.robot.pose.z <= 0.1:
@@ -218,11 +216,11 @@ def grasp(env: ManipulationEnv, seed: int = 3) -> Pose:
     return in_hand(env)
 
 
-def in_hand(env: ManipulationEnv) -> Pose:
+def in_hand(env):
     return env.scene.robot.pose.inverse().compose(env.scene["cube"].pose)
 
 
-def test_gripper_holds_a_cube_until_it_opens(make: Make, model: RobotModel) -> None:
+def test_gripper_holds_a_cube_until_it_opens(make, model):
     env = make(PICKING, robot=model.name)
     start, rng, robot = grasp(env), np.random.default_rng(0), env.scene.robot
     cube = env.scene["cube"].body
@@ -249,7 +247,7 @@ def test_gripper_holds_a_cube_until_it_opens(make: Make, model: RobotModel) -> N
 # Torques
 
 
-def test_torques_agree_with_the_simulator(armed: ManipulationEnv, robot: Robot) -> None:
+def test_torques_agree_with_the_simulator(armed, robot):
     """Bullet's inverse dynamics counts the fingers where they are, ours at the tool."""
     world, slots = armed.scene.world, list(robot._arm.slots)
     rng, count = np.random.default_rng(0), len(robot.body.joints)

@@ -1,22 +1,18 @@
 """Predicates on objects, structures of blocks, and how the expert builds and corrects them."""
 
 import math
-from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import pytest
-from rollouts import Make, digest, finish
+from rollouts import digest, finish
 
 from bulletarm_gym.demonstrations import collect
-from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.experts.blueprint import Blueprint
 from bulletarm_gym.experts.pick_place import (
     fingers_fit,
     palm_fits,
 )
 from bulletarm_gym.geometry import Pose, euler_pose
-from bulletarm_gym.scene import Scene, SceneObject
 from bulletarm_gym.scene import predicates as are
 
 CUBE = 0.03
@@ -34,7 +30,7 @@ OPEN_STACKING = "BulletArm/OpenLoopBlockStacking-v0"
 PAIR = {"cube_0": (-0.025, 0.0), "cube_1": (0.025, 0.0)}
 
 
-def lay(env: ManipulationEnv, **places: Sequence[float]) -> ManipulationEnv:
+def lay(env, **places):
     """Place blocks at y, height of their lowest points and, if given, x and yaw; all others aside."""
     env.reset(seed=0)
     aside = np.linspace(-0.16, 0.16, len(env.scene.objects)).tolist()
@@ -50,20 +46,20 @@ def lay(env: ManipulationEnv, **places: Sequence[float]) -> ManipulationEnv:
 
 
 @pytest.fixture
-def cubes(make: Make) -> Scene:
+def cubes(make):
     env = make(STACKING, num_objects=3)
     env.reset(seed=0)
     return env.scene
 
 
-def place(scene: Scene, *positions: tuple[float, float, float]) -> list[SceneObject]:
+def place(scene, *positions):
     """Place the cubes of 5 cm relative to x = 0.45, y = 0 m."""
     for obj, (x, y, z) in zip(scene.objects, positions, strict=True):
         obj.place(Pose.planar(0.45 + x, y, z))
     return scene.objects
 
 
-def test_stacked(cubes: Scene) -> None:
+def test_stacked(cubes):
     for positions, expected in (
         (((0.0, 0.0, 0.125), (0.01, 0.0, 0.025), (0.0, 0.01, 0.075)), True),
         (((0.0, 0.0, 0.125), (0.1, 0.0, 0.025), (0.0, 0.01, 0.075)), False),
@@ -73,7 +69,7 @@ def test_stacked(cubes: Scene) -> None:
         assert are.stacked(cubes, place(cubes, *positions)) is expected
 
 
-def test_relations_of_two_cubes(cubes: Scene) -> None:
+def test_relations_of_two_cubes(cubes):
     for aside, expected in ((0.024, True), (0.026, False)):
         first, second, _ = place(cubes, (0.0, 0.0, 0.025), (0.0, aside, 0.075), (0.1, 0.1, 0.075))
         assert are.on_top(cubes, first, second) is expected
@@ -84,7 +80,7 @@ def test_relations_of_two_cubes(cubes: Scene) -> None:
         assert are.touching(cubes, first, second) is expected
 
 
-def test_poses_of_one_cube(cubes: Scene) -> None:
+def test_poses_of_one_cube(cubes):
     cube = cubes.objects[0]
     for degrees, is_upright in ((19.0, True), (21.0, False), (90.0, False)):
         cube.place(euler_pose((0.45, 0.0, 0.1), (0.0, math.radians(degrees), 0.0)))
@@ -127,12 +123,12 @@ FOUR_LAYERS = {**PAIR, "brick": (0.0, CUBE), **UPPER}
         (HOUSE_4, {**FOUR_LAYERS, "brick": (0.0, CUBE, CENTRE, 0.5)}, False),
     ],
 )
-def test_success_of_a_house(make: Make, env_id: str, blocks: dict[str, Any], expected: bool) -> None:
+def test_success_of_a_house(make, env_id, blocks, expected):
     env = lay(make(env_id), **blocks)
     assert env.task.evaluate(env.scene)["success"] is expected
 
 
-def test_blueprint_rejects_layers_without_support() -> None:
+def test_blueprint_rejects_layers_without_support():
     with pytest.raises(ValueError, match=r"layers must .* got 3 on 2"):
         Blueprint([["cube"] * 2, ["cube"] * 3], (), CUBE)
 
@@ -141,7 +137,7 @@ def test_blueprint_rejects_layers_without_support() -> None:
 
 
 @pytest.mark.parametrize("env_id", [HOUSE_2, RAMP])
-def test_a_fallen_roof_ends_the_episode(make: Make, env_id: str) -> None:
+def test_a_fallen_roof_ends_the_episode(make, env_id):
     env = make(env_id)
     env.reset(seed=0)
     roof = env.scene["roof"]
@@ -163,7 +159,7 @@ def test_a_fallen_roof_ends_the_episode(make: Make, env_id: str) -> None:
     ],
     ids=str,
 )
-def test_expert_needs_two_steps_a_block(make: Make, env_id: str, parameters: Any, picks: int) -> None:
+def test_expert_needs_two_steps_a_block(make, env_id, parameters, picks):
     """The first block stays where it is, except on bumps."""
     env = make(env_id, **parameters)
     env.reset(seed=1)
@@ -181,13 +177,13 @@ def test_expert_needs_two_steps_a_block(make: Make, env_id: str, parameters: Any
     ],
     ids=str,
 )
-def test_expert_takes_wrong_structures_apart(make: Make, wrong: dict[str, Any], steps: int) -> None:
+def test_expert_takes_wrong_structures_apart(make, wrong, steps):
     solved, count = finish(lay(make(HOUSE_3), **wrong))
     assert solved and count <= steps
 
 
 @pytest.mark.parametrize(("robot", "fits"), [("panda", False), ("kuka", True)])
-def test_a_wide_palm_needs_space_above_neighbours(make: Make, robot: str, fits: bool) -> None:
+def test_a_wide_palm_needs_space_above_neighbours(make, robot, fits):
     env = lay(make(HOUSE_3, robot=robot), cube_0=(0.0, 0.0), brick=(0.0, 0.045, CENTRE + 0.09))
     cube, above = env.scene["cube 0"], Pose.planar(CENTRE, 0.0, CUBE / 2.0)
     assert fingers_fit(env.scene, above, cube)
@@ -196,7 +192,7 @@ def test_a_wide_palm_needs_space_above_neighbours(make: Make, robot: str, fits: 
 
 
 @pytest.mark.parametrize("seed", [25, 78, 111])
-def test_random_blocks_are_placed_without_a_rotation(make: Make, seed: int) -> None:
+def test_random_blocks_are_placed_without_a_rotation(make, seed):
     """The blocks of these seeds are grasped off their middles, and their line points backwards."""
     env = make(IMPROVISE_2, action_sequence="pxy", random_orientation=False)
     env.reset(seed=seed)
@@ -209,7 +205,7 @@ def test_random_blocks_are_placed_without_a_rotation(make: Make, seed: int) -> N
 @pytest.mark.parametrize(
     "env_id", [OPEN_STACKING, HOUSE_1, IMPROVISE_3, RAMP, "BulletArm/CloseLoopHouseBuilding-v0"]
 )
-def test_goal_starts_are_solved_and_repeatable(make: Make, env_id: str) -> None:
+def test_goal_starts_are_solved_and_repeatable(make, env_id):
     env = make(env_id)
     for seed in range(3):
         first, info = env.reset(seed=seed, options={"start": "goal"})
@@ -227,7 +223,7 @@ def test_goal_starts_are_solved_and_repeatable(make: Make, env_id: str) -> None:
     ],
     ids=str,
 )
-def test_demonstrations_rebuild_the_structure(make: Make, env_id: str, env_kwargs: dict[str, Any]) -> None:
+def test_demonstrations_rebuild_the_structure(make, env_id, env_kwargs):
     demonstrations = collect(env_id, 3, "deconstruction", seed=0, env_kwargs=env_kwargs)
     assert demonstrations.attempts <= 4
     env = make(env_id, **env_kwargs)

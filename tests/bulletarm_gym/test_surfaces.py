@@ -2,18 +2,14 @@
 
 import math
 import re
-from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
-from rollouts import Make
 
-from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import Footprint, PlacementError, Pose
 from bulletarm_gym.objects.blocks import SHAPES
 from bulletarm_gym.observations import HeightRenderer, Window
-from bulletarm_gym.scene import Scene
 from bulletarm_gym.scene.predicates import on_site, on_surface, touching
 from bulletarm_gym.scene.sampling import (
     footprint,
@@ -37,18 +33,18 @@ SHOULDER = 2
 
 
 @pytest.fixture(params=["flat", "ramp", "bump"])
-def env(request: pytest.FixtureRequest, make: Make) -> ManipulationEnv:
+def env(request, make):
     return make(ENV_ID, surface=request.param, **PARAMETERS)
 
 
-def load(name: str, site: tuple[float, float] = (0.03, 0.03)) -> Any:
+def load(name, site=(0.03, 0.03)):
     """Return a surface in a world of its own."""
     surface = SURFACES[name](WORKSPACE, site)
     surface.load(World(PHYSICS_MODES["fast"]))
     return surface
 
 
-def grid() -> np.ndarray:
+def grid():
     """Return the centres of the pixels of a heightmap of the workspace, (n, 2)."""
     (x0, x1), (y0, y1), _ = WORKSPACE
     line = (np.arange(PIXELS) + 0.5) / PIXELS
@@ -56,7 +52,7 @@ def grid() -> np.ndarray:
     return np.stack([x, y], axis=-1).reshape(-1, 2)
 
 
-def test_heightmap_and_simulation_have_the_heights_of_the_surface(env: ManipulationEnv) -> None:
+def test_heightmap_and_simulation_have_the_heights_of_the_surface(env):
     scene, points = env.scene, grid()
     for seed in range(10):
         scene.clear(np.random.default_rng(seed))
@@ -72,7 +68,7 @@ def test_heightmap_and_simulation_have_the_heights_of_the_surface(env: Manipulat
     assert np.abs(struck - scene.surface.heights(points))[ground].max() < SKIN
 
 
-def test_ranges_of_the_ramps() -> None:
+def test_ranges_of_the_ramps():
     ramp, rng, rows = load("ramp"), np.random.default_rng(0), []
     for _ in range(1000):
         ramp.arrange(rng)
@@ -93,7 +89,7 @@ def test_ranges_of_the_ramps() -> None:
         assert 0.1 <= wide.gap <= 0.2
 
 
-def test_ranges_of_the_bumps() -> None:
+def test_ranges_of_the_bumps():
     bump, rng, slopes, places = load("bump"), np.random.default_rng(0), [], []
     for _ in range(1000):
         bump.arrange(rng)
@@ -106,7 +102,7 @@ def test_ranges_of_the_bumps() -> None:
     assert bump.level == pytest.approx(0.1 * math.tan(math.pi / 12.0))
 
 
-def test_placed_objects_fit_and_stay(env: ManipulationEnv) -> None:
+def test_placed_objects_fit_and_stay(env):
     scene, on_strip = env.scene, []
     for seed in range(20):
         rng = np.random.default_rng(seed)
@@ -125,7 +121,7 @@ def test_placed_objects_fit_and_stay(env: ManipulationEnv) -> None:
         assert 0.1 < np.mean(on_strip) < 0.6
 
 
-def test_sites_are_level_free_and_inside(env: ManipulationEnv) -> None:
+def test_sites_are_level_free_and_inside(env):
     scene, surface, rng = env.scene, env.scene.surface, np.random.default_rng(3)
     for size in ((0.03, 0.03), (0.035, 0.12)) * 15:
         scene.clear(rng)
@@ -142,7 +138,7 @@ def test_sites_are_level_free_and_inside(env: ManipulationEnv) -> None:
         surface.goal_site((0.3, 0.5), rng)
 
 
-def test_surface_that_does_not_fit_the_task_is_refused() -> None:
+def test_surface_that_does_not_fit_the_task_is_refused():
     for name, surface, others in (
         ("CloseLoopBlockStacking", "lawn", "one of 'flat'"),
         ("OpenLoopBottleArrangement", "ramp", "'flat'.*bottles fall"),
@@ -164,13 +160,13 @@ def test_surface_that_does_not_fit_the_task_is_refused() -> None:
         ("OpenLoopBumpHouseBuilding4", {"workspace_check": "bounding_box"}, (382, 470, 483, 701)),
     ],
 )
-def test_scenes_with_little_space_are_valid(make: Make, name: str, parameters: Any, seeds: Any) -> None:
+def test_scenes_with_little_space_are_valid(make, name, parameters, seeds):
     env = make(f"BulletArm/{name}-v0", **parameters)
     assert all(env.reset(seed=seed)[1]["is_valid"] for seed in seeds)
 
 
 @pytest.mark.parametrize("robot", ["kuka", "panda", "ur5"])
-def test_ramps_keep_clear_of_the_arm(make: Make, robot: str) -> None:
+def test_ramps_keep_clear_of_the_arm(make, robot):
     scene = make(ENV_ID, surface="ramp", robot=robot, **PARAMETERS).scene
     for seed in range(50):
         scene.clear(np.random.default_rng(seed))
@@ -186,7 +182,7 @@ def test_ramps_keep_clear_of_the_arm(make: Make, robot: str) -> None:
 
 
 @pytest.fixture
-def scene(make: Make) -> Scene:
+def scene(make):
     env = make(ENV_ID, num_objects=3)
     env.reset(seed=0)
     return env.scene
@@ -195,7 +191,7 @@ def scene(make: Make) -> Scene:
 # Loaded bodies
 
 
-def test_a_range_of_sizes_keeps_all_sizes_and_shapes_in_few_bodies(make: Make) -> None:
+def test_a_range_of_sizes_keeps_all_sizes_and_shapes_in_few_bodies(make):
     full, env = make(PACKING), make(PACKING, object_scale_range=[0.7, 0.9])
     assert all(len(obj.choices) == len(obj.slot.variants) for obj in full.scene.objects)
     assert len(env.scene.world.bodies) <= MAX_BODIES + 2  # with ground and arm
@@ -210,7 +206,7 @@ def test_a_range_of_sizes_keeps_all_sizes_and_shapes_in_few_bodies(make: Make) -
 # Values that are computed once a pose
 
 
-def test_relations_and_heightmaps_follow_the_poses(make: Make) -> None:
+def test_relations_and_heightmaps_follow_the_poses(make):
     env = make("BulletArm/OpenLoopBlockStacking-v0")
     env.reset(seed=0)
     scene, window = env.scene, Window(env.config.centre, env.config.workspace_size, 64)

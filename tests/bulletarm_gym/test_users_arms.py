@@ -5,7 +5,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
@@ -40,10 +39,10 @@ PART = box((0.05, 0.05, 0.05), (0.0, 0.0, 0.0), LIGHT)
 Change = Callable[[Element], object]
 
 
-def changed_kuka(change: Change, **changes: Any) -> RobotModel:
+def changed_kuka(change, **changes):
     """Return the KUKA with a change of its URDF."""
 
-    def load() -> Element:
+    def load():
         root = KUKA.load()
         change(root)
         return root
@@ -54,7 +53,7 @@ def changed_kuka(change: Change, **changes: Any) -> RobotModel:
 # Kinematics
 
 
-def random_arm(rng: np.random.Generator) -> tuple[Element, tuple[str, ...]]:
+def random_arm(rng):
     """Return a chain of random joints with two fingers, and the names of the arm's joints.
 
     Some joints are fixed, prismatic or not named. Only the last one needs to be revolute and named.
@@ -81,7 +80,7 @@ def random_arm(rng: np.random.Generator) -> tuple[Element, tuple[str, ...]]:
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_forward_kinematics_equals_the_pose_of_the_link_in_bullet(seed: int) -> None:
+def test_forward_kinematics_equals_the_pose_of_the_link_in_bullet(seed):
     """Joints of all types. Joints that are not named are fixed at 0, or at their limit nearest to 0."""
     rng = np.random.default_rng(seed)
     root, names = random_arm(rng)
@@ -109,7 +108,7 @@ def test_forward_kinematics_equals_the_pose_of_the_link_in_bullet(seed: int) -> 
     assert 2.0 * math.atan2(math.hypot(x, y, z), abs(w)) < 1e-6
 
 
-def test_arm_hangs_from_the_ceiling() -> None:
+def test_arm_hangs_from_the_ceiling():
     posture = (0.0, 0.3, 0.0, -1.2, 0.0, -1.5, 0.0)
     model = replace(KUKA, base=euler_pose((0.05, 0.0, 1.2), (math.pi, 0.0, 0.0)), posture=posture)
     for x, y in ((0.35, -0.1), (0.55, 0.1)):
@@ -126,7 +125,7 @@ def test_arm_hangs_from_the_ceiling() -> None:
         ("ur5", Pose((1.0, 0.0, 0.0)), False),  # its first joint makes whole turns
     ],
 )
-def test_workspace_around_or_behind_the_base_is_refused(robot: str, base: Pose, is_refused: bool) -> None:
+def test_workspace_around_or_behind_the_base_is_refused(robot, base, is_refused):
     """There the first joint of neighbouring positions differs by up to a turn, and motions get stuck."""
     model = replace(ROBOTS[robot], base=base)
     assert model.jumps_inside(WORKSPACES["close_loop"]) == is_refused
@@ -138,20 +137,20 @@ def test_workspace_around_or_behind_the_base_is_refused(robot: str, base: Pose, 
 # Structure
 
 
-def put(part: str, path: str, **attributes: str) -> Change:
+def put(part, path, **attributes):
     """Return a change that sets attributes of a part of a link or joint."""
 
-    def change(root: Element) -> None:
+    def change(root):
         (element,) = [one for one in root if one.get("name") == part]
         (element.findall(path)[0] if path else element).attrib.update(attributes)
 
     return change
 
 
-def drop(name: str, tag: str) -> Change:
+def drop(name, tag):
     """Return a change that removes parts of a link or joint."""
 
-    def change(root: Element) -> None:
+    def change(root):
         (element,) = [one for one in root if one.get("name") == name]
         for part in element.findall(tag):
             element.remove(part)
@@ -159,16 +158,16 @@ def drop(name: str, tag: str) -> Change:
     return change
 
 
-def mimic(name: str, source: str) -> Change:
+def mimic(name, source):
     """Return a change that couples a joint to another."""
     return lambda root: SubElement(find_joint(root, name), "mimic", joint=source, multiplier="0.5")
 
 
-def cone(root: Element) -> None:
+def cone(root):
     SubElement(find_link(root, "lbr_iiwa_link_3").findall("collision/geometry")[0], "cone")
 
 
-def rod(root: Element) -> None:
+def rod(root):
     """Add a rod that keeps a link level, as palletizing arms have it."""
     add_link(root, "rod", 0.1, [PART])
     add_joint(root, "revolute", "rod", ("lbr_iiwa_link_2", "rod"), ORIGIN, (0.0, 1.0, 0.0))
@@ -201,7 +200,7 @@ def rod(root: Element) -> None:
     ],
     ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
 )
-def test_urdf_that_cannot_be_simulated_is_refused(change: Change, words: tuple[str, ...]) -> None:
+def test_urdf_that_cannot_be_simulated_is_refused(change, words):
     with pytest.raises(ValueError) as error:
         _ = changed_kuka(change).chain
     assert all(word in str(error.value) for word in words)
@@ -221,23 +220,23 @@ def test_urdf_that_cannot_be_simulated_is_refused(change: Change, words: tuple[s
         ("force", 0.0, ("force", "positive")),
     ],
 )
-def test_invalid_field_of_a_model_is_named(field: str, value: Any, words: tuple[str, ...]) -> None:
+def test_invalid_field_of_a_model_is_named(field, value, words):
     with pytest.raises(ValueError) as error:
         _ = replace(KUKA, **{field: value}).chain
     assert all(word in str(error.value) for word in words)
 
 
-def test_invalid_field_of_a_gripper_is_named() -> None:
+def test_invalid_field_of_a_gripper_is_named():
     wrong = {"stroke": 0.0, "speed": math.nan, "force": -1.0, "finger": (0.01, 0.02), "joints": ("one",)}
     for field, value in wrong.items():
         with pytest.raises(ValueError, match=field):
             replace(KUKA.gripper, **{field: value})
 
 
-def test_sequences_become_tuples_and_names_may_have_quotes() -> None:
+def test_sequences_become_tuples_and_names_may_have_quotes():
     name = """the "arm's" joint"""
     joints = [*KUKA.joints[:2], name, *KUKA.joints[3:]]
-    changes: dict[str, Any] = {"joints": joints, "posture": np.array(KUKA.posture), "force": [100] * 7}
+    changes = {"joints": joints, "posture": np.array(KUKA.posture), "force": [100] * 7}
     model = changed_kuka(put(KUKA.joints[2], "", name=name), **changes)
     assert (model.joints, model.posture, model.force) == (tuple(joints), KUKA.posture, (100.0,) * 7)
     assert len(model.chain.axes) == 7
@@ -247,7 +246,7 @@ def test_sequences_become_tuples_and_names_may_have_quotes() -> None:
     "mesh",
     ["package://my_arm/meshes/base.obj", "package://meshes/base.obj", "../meshes/base.obj", "file://{}"],
 )
-def test_meshes_of_a_folder_are_found(mesh: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_meshes_of_a_folder_are_found(mesh, tmp_path, monkeypatch):
     package = tmp_path / "my_arm"
     for folder in ("urdf", "meshes"):
         (package / folder).mkdir(parents=True)
@@ -267,8 +266,8 @@ def test_meshes_of_a_folder_are_found(mesh: str, tmp_path: Path, monkeypatch: py
 # Fingers
 
 
-def test_finger_with_a_negative_axis_opens_like_the_other() -> None:
-    def reverse(root: Element) -> None:
+def test_finger_with_a_negative_axis_opens_like_the_other():
+    def reverse(root):
         put(FINGERS[0], "axis", xyz="-2 0 0")(root)
         put(FINGERS[0], "limit", lower="-0.0425", upper="0")(root)
 
@@ -285,7 +284,7 @@ SLIDES = """<robot name="vx"><link name="palm"/><link name="bar"/><link name="le
 <mimic joint="l" multiplier="-1"/></joint></robot>"""
 
 
-def test_on_slides_keeps_fixed_joints_and_moves_prismatic_fingers() -> None:
+def test_on_slides_keeps_fixed_joints_and_moves_prismatic_fingers():
     root = on_slides(ElementTree.fromstring(SLIDES), "palm", ("l", "r"), closed=0.021, opened=0.057)
     offset = 0.021 * np.array((-math.sin(0.5), math.cos(0.5), 0.0))
     for name, sign in (("l", 1.0), ("r", -1.0)):
@@ -296,8 +295,8 @@ def test_on_slides_keeps_fixed_joints_and_moves_prismatic_fingers() -> None:
         assert float(joint.findall("limit")[0].get("upper", "")) == pytest.approx(0.036)
 
 
-def test_on_slides_names_the_invalid_argument() -> None:
-    arguments: dict[str, Any] = {"carrier": "palm", "fingers": ("l", "r"), "closed": 0.021, "opened": 0.057}
+def test_on_slides_names_the_invalid_argument():
+    arguments = {"carrier": "palm", "fingers": ("l", "r"), "closed": 0.021, "opened": 0.057}
     for changes, words in (
         ({"fingers": ("l", "thumb")}, "no joint.*thumb"),
         ({"carrier": "hand"}, "no link.*hand"),
@@ -313,11 +312,11 @@ JAW = ParallelJaw(stroke=0.08, palm=(0.1, 0.05, 0.05), finger=(0.01, 0.02, 0.08)
 FLANGE = Pose((0.0, 0.0, 0.107))
 
 
-def bare_panda() -> Element:
+def bare_panda():
     return without(PANDA.load(), "panda_hand")
 
 
-def test_jaw_replaces_the_gripper_of_an_arm() -> None:
+def test_jaw_replaces_the_gripper_of_an_arm():
     root = bare_panda()
     assert [link.get("name") for link in root.findall("link")][-1] == "panda_link8"
     assert len(root.findall("joint")) == len(root.findall("link")) - 1
@@ -331,7 +330,7 @@ def test_jaw_replaces_the_gripper_of_an_arm() -> None:
         JAW.fitted(bare_panda, "hand", FLANGE)
 
 
-def test_attach_joins_the_models_of_an_arm_and_a_gripper() -> None:
+def test_attach_joins_the_models_of_an_arm_and_a_gripper():
     hand = PANDA.load()
     arm_links = {f"panda_link{number}" for number in range(9)}
     for element in [*hand.findall("link"), *hand.findall("joint")]:
@@ -344,7 +343,7 @@ def test_attach_joins_the_models_of_an_arm_and_a_gripper() -> None:
     assert origins[1].position == pytest.approx(origins[0].position, abs=1e-4)
     assert find_link(joined, "panda_leftfinger") is not None
     with pytest.raises(ValueError, match="<robot>"):
-        attach(KUKA.load(), "lbr_iiwa_link_7", "gripper.urdf", ORIGIN)  # type: ignore[arg-type]
+        attach(KUKA.load(), "lbr_iiwa_link_7", "gripper.urdf", ORIGIN)
     twice = replace(PANDA, load=lambda: attach(PANDA.load(), "panda_link8", bare_panda(), ORIGIN))
     with pytest.raises(ValueError, match=r"distinct.*panda_link0"):
         _ = twice.urdf

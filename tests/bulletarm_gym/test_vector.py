@@ -2,7 +2,6 @@
 
 import warnings
 from functools import partial
-from typing import Any
 
 import gymnasium
 import numpy as np
@@ -20,7 +19,7 @@ ENV_ID = "BulletArm/CloseLoopBlockPicking-v0"
 MAKE = partial(gymnasium.make, f"bulletarm_gym:{ENV_ID}", obs_size=32)
 
 
-def test_members_equal_single_environments() -> None:
+def test_members_equal_single_environments():
     vector = AsyncVectorEnv([MAKE] * 2, context="spawn")
     singles = [MAKE() for _ in range(2)]
     observations, _ = vector.reset(seed=[3, 4])
@@ -34,10 +33,10 @@ def test_members_equal_single_environments() -> None:
     vector.close()
 
 
-def test_experts_of_wrapped_members_act_in_their_action_space() -> None:
+def test_experts_of_wrapped_members_act_in_their_action_space():
     rescale = partial(RescaleAction, min_action=np.float32(0.0), max_action=np.float32(2.0))
     options = {"autoreset_mode": "SameStep"}
-    vector: Any = gymnasium.make_vec(ENV_ID, 2, "async", options, wrappers=[rescale], obs_size=32)
+    vector = gymnasium.make_vec(ENV_ID, 2, "async", options, wrappers=[rescale], obs_size=32)
     assert vector.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
     vector.reset(seed=3)
     solved = np.zeros(2, bool)
@@ -53,7 +52,7 @@ def test_experts_of_wrapped_members_act_in_their_action_space() -> None:
     ("make", "env_id"),
     [(DummyVecEnv, TYPICAL[0]), (DummyVecEnv, ENV_ID), (partial(SubprocVecEnv, start_method="fork"), ENV_ID)],
 )
-def test_experts_of_stable_baselines3_members_solve_the_task(make: Any, env_id: str) -> None:
+def test_experts_of_stable_baselines3_members_solve_the_task(make, env_id):
     vec_env = make([partial(gymnasium.make, f"bulletarm_gym:{env_id}", obs_size=32)] * 2)
     vec_env.seed(0)
     vec_env.reset()
@@ -65,7 +64,7 @@ def test_experts_of_stable_baselines3_members_solve_the_task(make: Any, env_id: 
     assert solved.all()
 
 
-def starts() -> tuple[list[Any], list[Any]]:
+def starts():
     """Return three states, the last within an episode, and their heightmaps."""
     env = make_env(ENV_ID, obs_size=32)
     states, heightmaps = [], []
@@ -80,7 +79,7 @@ def starts() -> tuple[list[Any], list[Any]]:
 
 
 @pytest.mark.parametrize("mode", ["sync", "async"])
-def test_members_begin_at_states(mode: str) -> None:
+def test_members_begin_at_states(mode):
     states, expected = starts()
     vector = gymnasium.make_vec(ENV_ID, 3, mode, obs_size=32)
     vector.reset(seed=0)
@@ -117,9 +116,9 @@ OPEN = ["BulletArm/OpenLoopBlockStacking-v0", "BulletArm/OpenLoopRampBlockStacki
     [(CLOSE, {}, "pxyzr"), (OPEN, {"in_hand_size": 24, "observation": ["heightmap", "holding"]}, "pxyzrrr")],
     ids=["close loop", "open loop"],
 )
-def test_experts_solve_several_tasks_in_common_spaces(ids: Any, kwargs: Any, sequence: str) -> None:
+def test_experts_solve_several_tasks_in_common_spaces(ids, kwargs, sequence):
     vector = make_multi_task_vec(ids, obs_size=32, **kwargs)
-    space: Any = vector.single_observation_space
+    space = vector.single_observation_space
     assert vector.call("action_sequence") == (sequence,) * len(ids)
     assert vector.single_action_space.shape == (len(sequence),)
     observations, _ = vector.reset(seed=0)
@@ -137,10 +136,10 @@ def test_experts_solve_several_tasks_in_common_spaces(ids: Any, kwargs: Any, seq
         assert observations["color"][2].any()
 
 
-def test_numbers_of_other_tasks_do_not_change_the_result() -> None:
+def test_numbers_of_other_tasks_do_not_change_the_result():
     """The flat task has pxyr, the ramp pxyzrrr; vectors are padded at the end."""
     vector = make_multi_task_vec(OPEN, obs_size=32, observation=["heightmap", "holding"])
-    flat: Any = vector.envs[0]
+    flat = vector.envs[0]
     known, results = np.array([-1.0, 0.1, 0.2, 0.3], np.float32), []
     for others in (0.0, 0.5):
         flat.reset(seed=1)
@@ -155,7 +154,7 @@ def test_numbers_of_other_tasks_do_not_change_the_result() -> None:
         flat.step(known)
 
 
-def test_members_of_several_tasks_run_in_processes() -> None:
+def test_members_of_several_tasks_run_in_processes():
     """Equal to those of one process; vectors are padded at the end."""
     kinds, results = (SyncVectorEnv, partial(AsyncVectorEnv, context="spawn")), []
     for kind in kinds:
@@ -168,13 +167,13 @@ def test_members_of_several_tasks_run_in_processes() -> None:
     assert not found[0][:2, -3:].any() and found[0][2:, -3:].any()
 
 
-def test_a_member_passes_the_checks_and_is_made_again_from_its_spec() -> None:
+def test_a_member_passes_the_checks_and_is_made_again_from_its_spec():
     (env, _) = make_multi_task_vec([CLOSE[0], CLOSE[2]], obs_size=36).envs
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         check_env(env, skip_render_check=True)
         check_env_sb3(env)
-    again: Any = gymnasium.make(env.spec)
+    again = gymnasium.make(env.spec)
     assert again.observation_space == env.observation_space and again.action_space == env.action_space
     np.testing.assert_equal(again.reset(seed=2)[0], env.reset(seed=2)[0])
 
@@ -194,6 +193,6 @@ def test_a_member_passes_the_checks_and_is_made_again_from_its_spec() -> None:
         ),
     ],
 )
-def test_ids_without_common_spaces_are_rejected(ids: Any, kwargs: Any, message: str) -> None:
+def test_ids_without_common_spaces_are_rejected(ids, kwargs, message):
     with pytest.raises(ValueError, match=message):
         make_multi_task_vec(ids, **kwargs)

@@ -40,12 +40,12 @@ class Sensors(gymnasium.Env[dict[str, Any], Any]):
     )
     action_space = spaces.Box(-1.0, 1.0, (1,))
 
-    def reset(self, **_: Any) -> tuple[dict[str, Any], dict[str, Any]]:
+    def reset(self, **_):
         colour = np.arange(192, dtype=np.uint8).reshape(3, 8, 8)
         return {"colour": colour, "depth": np.full((1, 4, 4), 0.5), "pair": np.array([1.0, -1.0])}, {}
 
 
-def test_every_image_and_number_is_a_channel() -> None:
+def test_every_image_and_number_is_a_channel():
     env, last = ImageObservation(Sensors()), ImageObservation(Sensors(), channels_last=True)
     assert env.channels == ("colour_0", "colour_1", "colour_2", "depth", "pair_0", "pair_1")
     image, seen = env.reset()[0], Sensors().reset()[0]
@@ -60,7 +60,7 @@ def test_every_image_and_number_is_a_channel() -> None:
 
 
 @pytest.mark.parametrize("env_id", [CLOSE, OPEN])
-def test_image_of_an_environment(env_id: str) -> None:
+def test_image_of_an_environment(env_id):
     env = ImageObservation(gymnasium.make(env_id, obs_size=48))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -68,13 +68,13 @@ def test_image_of_an_environment(env_id: str) -> None:
         warnings.filterwarnings("ignore", message=".*different from the unwrapped version")
         check_gymnasium(env, skip_render_check=True)
     image, _ = env.reset(seed=0)
-    inner: Any = env.unwrapped
+    inner = env.unwrapped
     heightmap = inner.observe()["heightmap"][0]
     assert np.abs(image[env.channels.index("heightmap")] / 255 - heightmap / 0.4).max() < 1.01 * HALF_A_COUNT
     assert FrameStackObservation(env, 2).reset(seed=0)[0].shape == (2, *image.shape)
 
 
-def test_resizing_keeps_means_and_positions() -> None:
+def test_resizing_keeps_means_and_positions():
     large, small = (
         gymnasium.make(OPEN, obs_size=128),
         ImageObservation(gymnasium.make(OPEN, obs_size=128), 32),
@@ -89,7 +89,7 @@ def test_resizing_keeps_means_and_positions() -> None:
     assert pickle.loads(pickle.dumps(again)).observation_space == small.observation_space
 
 
-def test_image_must_be_possible() -> None:
+def test_image_must_be_possible():
     with pytest.raises(ValueError, match=r"^env must .*, got 'state'"):
         ImageObservation(gymnasium.make(CLOSE, observation="state"))
     with pytest.raises(ValueError, match=r"^size must .*, got 0"):
@@ -99,40 +99,40 @@ def test_image_must_be_possible() -> None:
 # The action space of the expert
 
 
-class Doubled(gymnasium.ActionWrapper):  # type: ignore[type-arg]
+class Doubled(gymnasium.ActionWrapper):
     """A user's wrapper with an inverse."""
 
-    def action(self, action: Any) -> Any:
+    def action(self, action):
         return 2.0 * action
 
-    def revert_action(self, action: Any) -> Any:
+    def revert_action(self, action):
         return action / 2.0
 
 
 rescale = partial(RescaleAction, min_action=np.float32(-3.0), max_action=np.float32(1.0))
 negate = partial(TransformAction, func=np.negative, action_space=None)
-INVERTIBLE: dict[str, list[Any]] = {
+INVERTIBLE = {
     "none": [RecordEpisodeStatistics],
     "rescaled twice": [rescale, RecordEpisodeStatistics, partial(rescale, max_action=np.float32(5.0))],
     "clipped": [ClipAction],
     "own": [Doubled, rescale],
 }
-OTHERS: dict[str, list[Any]] = {
+OTHERS = {
     "TransformAction": [negate],
     "StickyAction": [partial(StickyAction, repeat_action_probability=0.5)],
     "DiscretizeAction": [rescale, partial(DiscretizeAction, bins=3)],
 }
 
 
-def wrapped(*wrappers: Any) -> Any:
-    env: Any = gymnasium.make(CLOSE, obs_size=16)
+def wrapped(*wrappers):
+    env = gymnasium.make(CLOSE, obs_size=16)
     for wrapper in wrappers:
         env = wrapper(env)
     return env
 
 
 @pytest.mark.parametrize("name", INVERTIBLE)
-def test_expert_acts_in_the_outermost_action_space(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_expert_acts_in_the_outermost_action_space(name, monkeypatch):
     env = wrapped(*INVERTIBLE[name])
     core = env.unwrapped
     expert, step, executed = env.get_wrapper_attr("expert_action"), core.step, []
@@ -149,7 +149,7 @@ def test_expert_acts_in_the_outermost_action_space(name: str, monkeypatch: pytes
 
 
 @pytest.mark.parametrize("name", OTHERS)
-def test_expert_names_the_wrapper_without_an_inverse(name: str) -> None:
+def test_expert_names_the_wrapper_without_an_inverse(name):
     env = wrapped(*OTHERS[name])
     with pytest.raises(ValueError, match=rf"expert_action .*, got {name}\."):
         RecordEpisodeStatistics(env).get_wrapper_attr("expert_action")
@@ -161,13 +161,13 @@ def test_expert_names_the_wrapper_without_an_inverse(name: str) -> None:
 TASKS = ("BlockReaching", "BlockPushing", "BlockPulling", "BlockStacking")
 
 
-def goal_env(task: str, **parameters: Any) -> GoalObservation:
+def goal_env(task, **parameters):
     parameters = {"observation": "state", **parameters}
     return GoalObservation(gymnasium.make(f"BulletArm/CloseLoop{task}-v0", **parameters))
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_checks_of_gymnasium_and_sb3_are_clean(task: str) -> None:
+def test_checks_of_gymnasium_and_sb3_are_clean(task):
     env = goal_env(task)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -179,7 +179,7 @@ def test_checks_of_gymnasium_and_sb3_are_clean(task: str) -> None:
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_rewards_are_the_success_of_the_task_in_valid_scenes(task: str) -> None:
+def test_rewards_are_the_success_of_the_task_in_valid_scenes(task):
     """In every step of the expert, and for all steps at once."""
     env, rng = goal_env(task), np.random.default_rng(0)
     env.action_space.seed(0)
@@ -199,11 +199,11 @@ def test_rewards_are_the_success_of_the_task_in_valid_scenes(task: str) -> None:
         assert terminated or sum(rewards) > 0.0
 
 
-def _goals(observation: dict[str, Any]) -> tuple[Any, Any]:
+def _goals(observation):
     return observation["achieved_goal"], observation["desired_goal"]
 
 
-def test_episode_continues_after_success_until_the_limit_of_steps() -> None:
+def test_episode_continues_after_success_until_the_limit_of_steps():
     env = goal_env("BlockReaching", max_steps=7)
     env.reset(seed=0)
     ends, rewards = [], []
@@ -217,13 +217,13 @@ def test_episode_continues_after_success_until_the_limit_of_steps() -> None:
         env.step(env.action_space.sample())
 
 
-def test_goals_of_the_tasks_are_positions_and_gaps() -> None:
+def test_goals_of_the_tasks_are_positions_and_gaps():
     shapes = {}
     for task in TASKS:
         env = goal_env(task)
         observation, _ = env.reset(seed=0)
         shapes[task] = observation["achieved_goal"].shape
-        scene = env.unwrapped.scene  # type: ignore[attr-defined]
+        scene = env.unwrapped.scene
         if task == "BlockReaching":
             distance = math.dist(scene.robot.pose.position, scene["cube"].pose.position)
             assert np.linalg.norm(np.subtract(*_goals(observation))) == pytest.approx(distance)
@@ -232,17 +232,17 @@ def test_goals_of_the_tasks_are_positions_and_gaps() -> None:
     assert shapes == dict(zip(TASKS, [(3,), (2,), (1,), (4,)], strict=True))
 
 
-def test_stack_above_the_surface_is_no_goal() -> None:
+def test_stack_above_the_surface_is_no_goal():
     env = goal_env("BlockStacking")
     env.reset(seed=0)
-    core: Any = env.unwrapped
+    core = env.unwrapped
     for height, reward in ((0.0, 1.0), (0.05, 0.0)):
         for number, cube in enumerate(core.scene.objects):
             cube.place(Pose.planar(0.45, 0.0, height + 0.025 + 0.05 * number))
         assert env.compute_reward(*core.task.goals(core.scene), {}) == reward
 
 
-def test_other_tasks_and_images_are_refused() -> None:
+def test_other_tasks_and_images_are_refused():
     for task, parameters, message in (
         ("BlockPicking", {}, r"BlockPicking is not goal-conditioned"),
         ("DrawerOpening", {}, r"DrawerOpening is not goal-conditioned"),
