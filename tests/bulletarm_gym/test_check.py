@@ -1,8 +1,6 @@
 """``python -m bulletarm_gym.check`` checks the machine, environments with their experts, and robots."""
 
 import math
-import os
-import subprocess
 import sys
 import textwrap
 from dataclasses import replace
@@ -27,32 +25,22 @@ REACHING = "BulletArm/CloseLoopBlockReaching-v0"
 # Machine
 
 
-def test_check_of_the_machine_needs_no_learners():
-    """In a process in which only the environments can be imported."""
-    code = (
-        "import sys; blocked = ('torch', 'stable_baselines3', 'rl_zoo3', 'zoo_configs', 'sb3_extensions');"
-        "sys.modules.update(dict.fromkeys(blocked));"
-        "from bulletarm_gym.check.__main__ import main; sys.exit(main(['--seconds', '0.1']))"
-    )
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    command = [sys.executable, "-c", code]
-    result = subprocess.run(command, env=environment, capture_output=True, text=True)
-    assert result.returncode == 0, result.stderr
-    subjects = [line.split(":")[0].split()[-1] for line in result.stdout.splitlines() if "->" not in line]
+def test_check_of_the_machine_needs_no_learners(capsys, monkeypatch):
+    for name in ("torch", "stable_baselines3", "rl_zoo3", "zoo_configs", "sb3_extensions"):
+        monkeypatch.setitem(sys.modules, name, None)
+    assert main(["--seconds", "0.1"]) == 0
+    out = capsys.readouterr().out
+    subjects = [line.split(":")[0].split()[-1] for line in out.splitlines() if "->" not in line]
     names = [env_id.rpartition("/")[2] for env_id in environments.MAX_RATIO]
     assert subjects == ["versions", "processor", "threads", "display", *ROBOTS, "cache", *names]
-    assert result.stdout.count("picked a block in") == len(ROBOTS)
+    assert out.count("picked a block in") == len(ROBOTS)
 
 
-def test_robot_that_cannot_be_made_fails():
+def test_missing_robot_and_slow_steps_are_reported():
     finding = environments.robot("octopus")
     assert finding.fails and finding.advice and "octopus" in finding.value
-
-
-@pytest.mark.parametrize(("step_us", "is_slow"), [(1e6, False), (1e-3, True)])
-def test_speed_is_compared_with_plain_pybullet(step_us, is_slow):
-    finding = environments.speed(environments.CLOSE_LOOP, 0.0, step_us)
-    assert "steps/s" in finding.value and bool(finding.advice) == is_slow
+    finding = environments.speed(environments.CLOSE_LOOP, seconds=0.0, step_us=1e-3)
+    assert "steps/s" in finding.value and finding.advice
 
 
 # Environments
@@ -86,15 +74,15 @@ TASKS = """
 
 def test_built_in_environment_passes(tmp_path, capsys):
     image = tmp_path / "reaching.png"
-    assert main([REACHING, "-n", "2", "--env-kwargs", "obs_size:32", "--image", str(image)]) == 0
+    small = ["--env-kwargs", 'observation:["point_cloud"]', "obs_size:16"]
+    assert main([REACHING, "-n", "2", *small, "--image", str(image)]) == 0
     printed = capsys.readouterr().out
     assert printed.count("passed") == 4 and "success in 2 of 2 episodes" in printed
     assert len(Image.open(image).getcolors(1 << 20)) > 100
-    assert main([REACHING, "-n", "1", "--env-kwargs", 'observation:["point_cloud"]']) == 0
 
 
 def test_expert_below_the_minimum_success_rate_fails(capsys):
-    assert main([REACHING, "-n", "1", "--env-kwargs", "max_steps:2"]) == 2
+    assert main([REACHING, "-n", "1", "--env-kwargs", "max_steps:2", "obs_size:16"]) == 2
     out, err = capsys.readouterr()
     assert out.count("FAILED") == 1 and "0 of 1 episodes" in out and REACHING in err
 
@@ -105,7 +93,6 @@ def test_expert_below_the_minimum_success_rate_fails(capsys):
         ([REACHING, "--env-kwargs", "obs_size:-1"], "obs_size"),
         ([REACHING, "--robot", "kuka"], "--robot"),
         (["--image", "arm.png"], "--image"),
-        (["--robot", "kuka", "--image", "arm.xyz"], "arm.xyz"),
         (["--robot", "kuka", "--image", "missing/arm.png"], "missing/arm.png"),
     ],
 )
@@ -123,7 +110,8 @@ def test_faults_of_a_users_task_are_found(tmp_path, monkeypatch, capsys):
     monkeypatch.syspath_prepend(str(tmp_path))
     names = ("NoPlan", "Properties", "Mass", "Friction", "Gravity")
     ids = [f"BulletArm/CloseLoop{name}-v0" for name in names]
-    assert main([*ids, "--gym-packages", "my_checked_tasks", "-n", "1"]) == 2
+    own = ["--gym-packages", "my_checked_tasks", "-n", "1", "--env-kwargs", "obs_size:16"]
+    assert main([*ids, *own]) == 2
     out, err = capsys.readouterr()
     reports = dict(zip(names, out.split("BulletArm/CloseLoop")[1:], strict=True))
     assert reports["NoPlan"].count(f"no plan ({tmp_path / 'my_checked_tasks.py'}, line ") == 3

@@ -12,10 +12,9 @@ import sys
 from collections import OrderedDict
 from dataclasses import dataclass, field, make_dataclass, replace
 
-import gymnasium
 import numpy as np
 import pytest
-from rollouts import PICKING, TYPICAL, advance, answer, digest, idle, make_env, transcript
+from rollouts import PICKING, TYPICAL, advance, answer, digest, make_env, transcript
 
 from bulletarm_gym.demonstrations import json_state
 from bulletarm_gym.env import ManipulationEnv
@@ -30,24 +29,11 @@ STACKING = "BulletArm/OpenLoopBlockStacking-v0"
 SEED = 3
 OTHER = {"fast_mode": False, "object_scale_range": [0.7, 0.9]}
 CASES = [
-    *((PICKING, moment, {}) for moment in (0, 4, 6)),
-    (PICKING, 6, OTHER),
-    (PULLING, 5, {}),
-    *(
-        (env_id, 1, {"num_objects": 5} if "Grasping" in env_id else {})
-        for env_id in TYPICAL
-        if env_id != PICKING
-    ),
+    *((PICKING, 0, {}), (PICKING, 6, {}), (PICKING, 6, OTHER), (PULLING, 5, {})),
+    *((env_id, 1, {}) for env_id in TYPICAL if env_id != PICKING),
 ]
 """Ids, numbers of the expert's steps, mid-grasp and mid-push among them, and parameters."""
 REAL = {"randomization": "real", "obs_size": 32}
-SEEDED = [
-    *((env_id, {}) for env_id in TYPICAL),
-    *((TYPICAL[0], parameters) for parameters in ({"fast_mode": False}, {"object_scale_range": [0.7, 0.9]})),
-    (PICKING, {"physics_mode": "slow"}),
-    (PICKING, {"action_sequence": "zpxy", "random_orientation": False, "obs_size": 64}),
-]
-"""Ids and parameters."""
 
 
 def name_of(case):
@@ -58,20 +44,17 @@ def name_of(case):
 
 
 def test_another_process_agrees(make, monkeypatch):
+    """Mid-grasp and mid-push, with sampled physics, and from a seed."""
     requests = {}
-    expected = {}
-    for env_id, parameters in SEEDED:
-        name = f"{env_id} {parameters}"
-        requests[name] = (env_id, parameters, None)
-        expected[name] = transcript(make(env_id, **parameters), seed=0)
-    for env_id, moment, parameters in [*CASES[2:6], (PICKING, 4, REAL)]:
-        env, name = make(env_id, **parameters), name_of((env_id, moment, parameters))
-        requests[name] = (env_id, parameters, advance(env, SEED, moment))
-        expected[name] = transcript(env)
-    assert any(state and state.robot.held is not None for *_, state in requests.values())
+    for env_id, moment, parameters in [*CASES[1:5], (PICKING, 4, REAL)]:
+        state = advance(make(env_id, **parameters), SEED, moment)
+        requests[f"{env_id} {parameters}"] = (env_id, parameters, state)
+    assert any(state.robot.held is not None for *_, state in requests.values())
+    own = {"action_sequence": "zpxy", "random_orientation": False, "physics_mode": "slow"}
+    requests["seed"] = (PICKING, own, None)
     monkeypatch.setenv("PYTHONHASHSEED", "7")
     with multiprocessing.get_context("spawn").Pool(1) as pool:
-        assert pool.apply(answer, (requests,)) == expected
+        assert pool.apply(answer, (requests,)) == answer(requests)
 
 
 def test_other_episodes_instances_and_global_randomness_change_nothing(make, typical_id):
@@ -81,7 +64,7 @@ def test_other_episodes_instances_and_global_randomness_change_nothing(make, typ
     second.reset(seed=50)
     other.reset(seed=51)
     np.random.seed(1)
-    before = np.random.get_state()
+    before = pickle.dumps(np.random.get_state())
 
     def disturb(_):
         for neighbour in (second, other):
@@ -90,8 +73,7 @@ def test_other_episodes_instances_and_global_randomness_change_nothing(make, typ
                 neighbour.reset()
 
     assert transcript(env, 8, seed=0, before_step=disturb) == alone
-    after = np.random.get_state()
-    assert all(np.array_equal(one, other) for one, other in zip(before, after, strict=True))
+    assert pickle.dumps(np.random.get_state()) == before
 
 
 def test_unseeded_resets_follow_from_the_seed_alone(make, typical_id):
@@ -108,19 +90,13 @@ def test_unseeded_resets_follow_from_the_seed_alone(make, typical_id):
 
 
 def test_rendering_and_queries_change_nothing(make, typical_id):
-    rng = np.random.default_rng(0)
-
     def look(env):
-        queries = (env.get_state, env.expert_action, env.observe)
-        for number in rng.integers(len(queries), size=3):
-            queries[number]()
-        if rng.random() < 0.2:
-            env.render()
+        for query in (env.get_state, env.expert_action, env.observe, env.render):
+            query()
 
     expected = transcript(make(typical_id), 8, seed=2)
-    for mode in ("rgb_array", "depth_array"):
-        watched = make(typical_id, render_mode=mode)
-        assert transcript(watched, 8, seed=2, before_step=look) == expected
+    watched = make(typical_id, render_mode="rgb_array", render_size=64)
+    assert transcript(watched, 8, seed=2, before_step=look) == expected
 
 
 # States
@@ -155,52 +131,25 @@ def test_state_of_a_moving_object_is_exact(picking, make):
     assert transcript(other) == expected
 
 
-def test_state_keeps_the_number_of_steps(make):
-    env, other = (make(PICKING, instance, max_steps=3) for instance in range(2))
-    env.reset(seed=0)
-    assert [env.step(idle(env))[3] for _ in range(2)] == [False, False]
-    other.set_state(env.get_state())
-    assert other.step(idle(env))[3] is True
-
-
 # Copies
 
 
-@pytest.mark.parametrize("moment", [None, 1])
 @pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
-def test_copies_keep_state_generators_and_seed(copied, moment):
+def test_copies_keep_state_generators_and_seed(copied):
     env = make_env(PICKING, obs_size=16)
-    for number, space in enumerate((env.action_space, env.observation_space)):
+    spaces = (env.action_space, env.observation_space)
+    for number, space in enumerate(spaces):
         space.seed(5 + number)
-        space.sample()
-    if moment is None:
-        _ = env.np_random_seed
-    else:
-        advance(env, SEED, moment)
+    advance(env, SEED, 1)
     other = copied(env)
     assert other.np_random_seed == env.np_random_seed and other.config == env.config
-    assert np.array_equal(other.action_space.sample(), env.action_space.sample())
-    assert digest(other.observation_space.sample()) == digest(env.observation_space.sample())
-    if moment is None:
-        with pytest.raises(gymnasium.error.ResetNeeded):
-            other.expert_action()
-    else:
-        assert transcript(other, 6) == transcript(env, 6)
+    copies = (other.action_space, other.observation_space)
+    assert [digest(space.sample()) for space in copies] == [digest(space.sample()) for space in spaces]
+    assert transcript(other, 6) == transcript(env, 6)
     assert digest(*other.reset()) == digest(*env.reset())
 
 
 # Resets to a state
-
-
-@pytest.mark.parametrize("env_id", [PICKING, STACKING])
-def test_reset_begins_at_a_state(env_id, make):
-    env, other = make(env_id), make(env_id, 1)
-    state = advance(env, SEED, 1)
-    expected = digest(env.observe())
-    transcript(other, 3, seed=8)
-    observation, info = other.reset(options={"state": state})
-    assert digest(observation) == expected and info["is_valid"] and other.get_state() == state
-    assert transcript(other, 6) == transcript(env, 6)
 
 
 def test_seed_of_a_reset_to_a_state_determines_later_episodes(picking):
@@ -222,11 +171,9 @@ def test_seed_of_a_reset_to_a_state_determines_later_episodes(picking):
     [
         ("robot", PICKING, {"robot": "panda"}),
         ("workspace", PICKING, {"workspace": [[0.32, 0.6], [-0.14, 0.14], [0.01, 0.25]]}),
-        ("object_scale_range", PICKING, {"object_scale_range": 0.8}),
         ("task", "BulletArm/CloseLoopBlockReaching-v0", {}),
         ("surface", PICKING, {"surface": "ramp"}),
         ("arm", PICKING, {"robot": replace(KUKA, gripper=replace(KUKA.gripper, force=40.0))}),
-        ("close_loop_tray", PICKING, {"close_loop_tray": True}),
         ("num_objects", STACKING, {"num_objects": 3}),
         ("in_hand", STACKING, {"action_sequence": "pxyzrrr"}),
     ],

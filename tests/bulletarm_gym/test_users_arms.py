@@ -1,7 +1,6 @@
 """Arms of users: each model is simulated as its file says, or refused with the reason."""
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -14,7 +13,7 @@ import pytest
 from rollouts import PICKING, finish
 
 from bulletarm_gym.config import WORKSPACES, ParameterError
-from bulletarm_gym.geometry import Pose, conjugate, euler_pose, multiply
+from bulletarm_gym.geometry import Pose, euler_pose, matrix
 from bulletarm_gym.robots import (
     KUKA,
     PANDA,
@@ -30,13 +29,11 @@ from bulletarm_gym.robots import (
 from bulletarm_gym.robots.editing import LIGHT, add_link, box
 from bulletarm_gym.simulation.client import Client
 from bulletarm_gym.simulation.loading import load_urdf
-from bulletarm_gym.simulation.urdf import add_joint, find_joint, find_link, frame_of, to_text
+from bulletarm_gym.simulation.urdf import add_joint, find_joint, frame_of, to_text
 
 ORIGIN = Pose((0.0, 0.0, 0.0))
 FINGERS = ("left_finger_joint", "right_finger_joint")
 PART = box((0.05, 0.05, 0.05), (0.0, 0.0, 0.0), LIGHT)
-
-Change = Callable[[Element], object]
 
 
 def changed_kuka(change, **changes):
@@ -79,20 +76,18 @@ def random_arm(rng):
     return root, tuple(named)
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(6))
 def test_forward_kinematics_equals_the_pose_of_the_link_in_bullet(seed):
     """Joints of all types. Joints that are not named are fixed at 0, or at their limit nearest to 0."""
     rng = np.random.default_rng(seed)
     root, names = random_arm(rng)
-    text = to_text(root)
     kinds = {joint.get("name"): joint.get("type") for joint in root.findall("joint")}
     tool, base = Pose((0.03, -0.02, 0.1)), euler_pose((0.1, 0.2, 0.3), (0.0, 0.0, 0.4))
     gripper = Gripper(stroke=0.1, finger=(0.01, 0.02, 0.05))
     model = RobotModel("random", lambda: root, names, tool, gripper, base, (0.0,) * len(names), 10.0)
     positions = rng.uniform(-0.9, 1.4, len(names))
-    ours = model.chain.forward(positions)
     client, moved = Client(), dict(zip(names, positions.tolist(), strict=True))
-    body, _ = load_urdf(client, "file", text, base)
+    body, _ = load_urdf(client, "file", to_text(root), base)
     for joint in range(client.getNumJoints(body)):
         info = client.getJointInfo(body, joint)
         name = info[1].decode()
@@ -103,16 +98,9 @@ def test_forward_kinematics_equals_the_pose_of_the_link_in_bullet(seed):
             last = joint
     state = client.getLinkState(body, last, computeForwardKinematics=True)
     simulated = Pose(state[4], state[5]).compose(tool)
-    x, y, z, w = multiply(ours.orientation, conjugate(simulated.orientation))
-    assert math.dist(ours.position, simulated.position) < 1e-6
-    assert 2.0 * math.atan2(math.hypot(x, y, z), abs(w)) < 1e-6
-
-
-def test_arm_hangs_from_the_ceiling():
-    posture = (0.0, 0.3, 0.0, -1.2, 0.0, -1.5, 0.0)
-    model = replace(KUKA, base=euler_pose((0.05, 0.0, 1.2), (math.pi, 0.0, 0.0)), posture=posture)
-    for x, y in ((0.35, -0.1), (0.55, 0.1)):
-        assert model.inverse(Pose.planar(x, y, 0.15))[1] < 1e-4
+    ours = model.chain.forward(positions)
+    np.testing.assert_allclose(ours.position, simulated.position, atol=1e-6)
+    np.testing.assert_allclose(matrix(ours), matrix(simulated), atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -121,7 +109,6 @@ def test_arm_hangs_from_the_ceiling():
         ("kuka", euler_pose((0.45, 0.0, 1.3), (math.pi, 0.0, 0.0)), True),
         ("panda", Pose((1.0, 0.0, 0.0)), True),
         ("panda", Pose.planar(1.0, 0.0, 0.0, math.pi), False),
-        ("kuka", Pose((0.3, 0.0, 0.0)), False),
         ("ur5", Pose((1.0, 0.0, 0.0)), False),  # its first joint makes whole turns
     ],
 )
@@ -163,10 +150,6 @@ def mimic(name, source):
     return lambda root: SubElement(find_joint(root, name), "mimic", joint=source, multiplier="0.5")
 
 
-def cone(root):
-    SubElement(find_link(root, "lbr_iiwa_link_3").findall("collision/geometry")[0], "cone")
-
-
 def rod(root):
     """Add a rod that keeps a link level, as palletizing arms have it."""
     add_link(root, "rod", 0.1, [PART])
@@ -181,7 +164,6 @@ def rod(root):
         (partial(add_link, name="loose", mass=1.0, primitives=[PART]), ("one root link", "loose")),
         (drop("lbr_iiwa_link_3", "inertial"), ("mass", "lbr_iiwa_link_3")),
         (put("lbr_iiwa_link_3", "inertial/mass", value="5kg"), ("<mass>", "5kg")),
-        (cone, ("<geometry>", "cone", "lbr_iiwa_link_3")),
         (put(KUKA.joints[2], "axis", xyz="0 0 0"), ("axis", KUKA.joints[2])),
         (put(KUKA.joints[3], "origin", xyz="0 0 ${height}"), ("<origin>", "${height}")),
         (drop(KUKA.joints[1], "limit"), ("<limit>", KUKA.joints[1])),
@@ -216,21 +198,18 @@ def test_urdf_that_cannot_be_simulated_is_refused(change, words):
         ("posture", (0.0, 0.6, 0.0), ("posture", "(7,)")),
         ("posture", (math.nan,) * 7, ("posture", "nan")),
         ("posture", (0.0, 0.6, 0.0, -2.5, 0.0, 0.7, 0.0), ("posture", "-2.5", "lbr_iiwa_joint_4")),
-        ("force", (300.0, 300.0), ("force", "(7,)")),
         ("force", 0.0, ("force", "positive")),
+        *(
+            (f"gripper.{field}", value, (field,))
+            for field, value in (("stroke", 0.0), ("speed", math.nan), ("force", -1.0), ("joints", ("one",)))
+        ),
     ],
 )
-def test_invalid_field_of_a_model_is_named(field, value, words):
+def test_invalid_field_of_a_model_or_a_gripper_is_named(field, value, words):
+    part = KUKA.gripper if field.startswith("gripper.") else KUKA
     with pytest.raises(ValueError) as error:
-        _ = replace(KUKA, **{field: value}).chain
+        _ = replace(part, **{field.removeprefix("gripper."): value}).chain
     assert all(word in str(error.value) for word in words)
-
-
-def test_invalid_field_of_a_gripper_is_named():
-    wrong = {"stroke": 0.0, "speed": math.nan, "force": -1.0, "finger": (0.01, 0.02), "joints": ("one",)}
-    for field, value in wrong.items():
-        with pytest.raises(ValueError, match=field):
-            replace(KUKA.gripper, **{field: value})
 
 
 def test_sequences_become_tuples_and_names_may_have_quotes():
@@ -242,22 +221,18 @@ def test_sequences_become_tuples_and_names_may_have_quotes():
     assert len(model.chain.axes) == 7
 
 
-@pytest.mark.parametrize(
-    "mesh",
-    ["package://my_arm/meshes/base.obj", "package://meshes/base.obj", "../meshes/base.obj", "file://{}"],
-)
-def test_meshes_of_a_folder_are_found(mesh, tmp_path, monkeypatch):
-    package = tmp_path / "my_arm"
+def test_meshes_of_a_folder_are_found(tmp_path, monkeypatch):
     for folder in ("urdf", "meshes"):
-        (package / folder).mkdir(parents=True)
-    file, obj = package / "urdf" / "arm.urdf", package / "meshes" / "base.obj"
-    visual = f'<visual><geometry><mesh filename="{mesh.format(obj)}"/></geometry></visual>'
+        (tmp_path / "my_arm" / folder).mkdir(parents=True)
+    file, obj = tmp_path / "my_arm" / "urdf" / "arm.urdf", tmp_path / "my_arm" / "meshes" / "base.obj"
     obj.write_text("v 0 0 0\nf 1 1 1\n")
-    file.write_text(f'<robot name="arm"><link name="base">{visual}</link></robot>')
     monkeypatch.chdir(tmp_path)
-    for source in (file, str(file.relative_to(tmp_path))):
-        (found,) = read_urdf(source).iter("mesh")
-        assert found.get("filename") == str(obj) or Path(found.get("filename", "")).samefile(obj)
+    for mesh in ("package://my_arm/meshes/base.obj", "package://meshes/base.obj", "../meshes/base.obj"):
+        visual = f'<visual><geometry><mesh filename="{mesh}"/></geometry></visual>'
+        file.write_text(f'<robot name="arm"><link name="base">{visual}</link></robot>')
+        for source in (file, str(file.relative_to(tmp_path))):
+            (found,) = read_urdf(source).iter("mesh")
+            assert Path(found.get("filename")).samefile(obj)
     obj.unlink()
     with pytest.raises(ValueError, match=r"the mesh '.*base.obj'"):
         read_urdf(file)
@@ -302,7 +277,6 @@ def test_on_slides_names_the_invalid_argument():
         ({"carrier": "hand"}, "no link.*hand"),
         ({"carrier": "left"}, "attached.*'left'|'left'.*attached"),
         ({"closed": 0.057, "opened": 0.021}, r"opened.*0\.021"),
-        ({"closed": math.nan}, "opened.*nan"),
     ):
         with pytest.raises(ValueError, match=words):
             on_slides(ElementTree.fromstring(SLIDES), **(arguments | changes))
@@ -322,12 +296,13 @@ def test_jaw_replaces_the_gripper_of_an_arm():
     assert len(root.findall("joint")) == len(root.findall("link")) - 1
     load = partial(JAW.fitted, bare_panda, "panda_link7", FLANGE)
     assert len(replace(PANDA, load=load, tool=JAW.tool(FLANGE), gripper=JAW).urdf.findall("joint")) == 9
-    with pytest.raises(ValueError, match="no link 'wrist'"):
-        without(PANDA.load(), "wrist")
-    with pytest.raises(ValueError, match=r"panda_link7.*panda_finger"):
-        JAW.fitted(PANDA.load, "panda_link7", FLANGE)
-    with pytest.raises(ValueError, match="no link 'hand'"):
-        JAW.fitted(bare_panda, "hand", FLANGE)
+    for call, words in (
+        (lambda: without(PANDA.load(), "wrist"), "no link 'wrist'"),
+        (lambda: JAW.fitted(PANDA.load, "panda_link7", FLANGE), r"panda_link7.*panda_finger"),
+        (lambda: JAW.fitted(bare_panda, "hand", FLANGE), "no link 'hand'"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            call()
 
 
 def test_attach_joins_the_models_of_an_arm_and_a_gripper():
@@ -341,7 +316,6 @@ def test_attach_joins_the_models_of_an_arm_and_a_gripper():
     model = replace(PANDA, load=lambda: joined)
     origins = [frame_of(find_joint(one.urdf, PANDA.gripper.joints[0])) for one in (PANDA, model)]
     assert origins[1].position == pytest.approx(origins[0].position, abs=1e-4)
-    assert find_link(joined, "panda_leftfinger") is not None
     with pytest.raises(ValueError, match="<robot>"):
         attach(KUKA.load(), "lbr_iiwa_link_7", "gripper.urdf", ORIGIN)
     twice = replace(PANDA, load=lambda: attach(PANDA.load(), "panda_link8", bare_panda(), ORIGIN))
