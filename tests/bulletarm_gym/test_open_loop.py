@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 from rollouts import digest
+from scipy.spatial.transform import Rotation
 
 from bulletarm_gym.config import Context, EnvConfig
 from bulletarm_gym.control import PickPlace
@@ -45,12 +46,6 @@ def act(env, primitive, position, rotation=(0.0, 0.0, 0.0)):
     return env.step(env.encode_action(PickPlace(primitive, position, rotation)))
 
 
-def pick(env, x, y):
-    act(env, "pick", (x, y, 0.0))
-    assert env.scene.held is not None
-    return env.scene.held
-
-
 def height_at(env, primitive, x, y):
     """Return the decoded height (m) of a pick or place without z."""
     return float(env.decode_action(env.encode_action(PickPlace(primitive, (x, y, 0.0)))).position[2])
@@ -60,7 +55,7 @@ def height_at(env, primitive, x, y):
 
 
 @pytest.mark.parametrize("half", [True, False])
-@pytest.mark.parametrize("sequence", ["xy", "rxy", "ypx", "yprx", "xyzrrr", "rrrzyxp", "rxyrzpr"])
+@pytest.mark.parametrize("sequence", ["xy", "yprx", "xyzrrr", "rxyrzpr"])
 def test_encode_inverts_decode(env, sequence, half):
     context = Context("open_loop", env.task.defaults)
     config = EnvConfig.of(context, {"action_sequence": sequence, "half_rotation": half})
@@ -90,19 +85,16 @@ def test_decode_returns_physical_units(make):
 
 
 def test_rotations_are_about_z_then_the_rotated_y_then_the_rotated_x():
-    theta, phi, psi = 0.7, 0.4, -0.3
-    axes = [np.eye(3) for _ in range(3)]
-    for turn, (i, j), angle in zip(axes, ((0, 1), (2, 0), (1, 2)), (theta, phi, psi), strict=True):
-        turn[[i, j], [i, j]], turn[i, j], turn[j, i] = math.cos(angle), -math.sin(angle), math.sin(angle)
-    pose = PickPlace("pick", (0.0, 0.0, 0.0), (theta, phi, psi)).pose
-    np.testing.assert_allclose(matrix(pose), axes[0] @ axes[1] @ axes[2], atol=1e-12)
-    assert euler_angles(pose.orientation) == pytest.approx((psi, phi, theta))
+    angles = (0.7, 0.4, -0.3)
+    pose = PickPlace("pick", (0.0, 0.0, 0.0), angles).pose
+    np.testing.assert_allclose(matrix(pose), Rotation.from_euler("ZYX", angles).as_matrix(), atol=1e-12)
+    assert euler_angles(pose.orientation) == pytest.approx(angles[::-1])
 
 
 def test_encode_brings_angles_into_range(make):
     """A rotation by pi about the gripper's axis exchanges its fingers."""
     env = make(STACKING, action_sequence="xyzrrr")
-    for turns in (-2, -1, 1, 2):
+    for turns in (-2, 1):
         move = PickPlace("pick", (0.4, 0.0, 0.1), (0.7 + turns * math.pi, 0.2, -0.3))
         same = env.decode_action(env.encode_action(move))
         assert 0.0 <= same.rotation[0] <= math.pi
@@ -110,7 +102,7 @@ def test_encode_brings_angles_into_range(make):
         np.testing.assert_allclose(matrix(same.pose), matrix(move.pose.compose(flip)), atol=1e-6)
 
 
-def test_encode_clips_and_rejects_an_unknown_primitive(env):
+def test_encode_clips_positions_and_rejects_an_unknown_primitive(env):
     assert env.encode_action(PickPlace("place", (9.0, -9.0, 0.1))).tolist() == [1.0, 1.0, -1.0, -1.0]
     with pytest.raises(ValueError, match=r"primitive .*'push'"):
         env.encode_action(PickPlace("push", (0.4, 0.0, 0.1)))
@@ -148,10 +140,9 @@ def test_pick_and_place_move_a_cube_to_the_target(env):
     cube, *others = env.scene
     before = [obj.pose.position for obj in others]
     observation, *_ = act(env, "pick", (0.5, 0.1, 0.0), (0.4, 0.0, 0.0))
-    tool = env.scene.robot.pose
     assert env.scene.held is cube and observation["holding"] == 1.0
-    assert tool.position == pytest.approx((0.45, 0.0, 0.4), abs=1e-3)
-    assert math.dist(cube.pose.position, tool.position) < 2e-3
+    for pose in (env.scene.robot.pose, cube.pose):
+        assert pose.position == pytest.approx((0.45, 0.0, 0.4), abs=2e-3)
     assert observation["heightmap"][0, 20:, 30:].max() == 0.0  # neither the arm nor the cube is visible
     observation, *_ = act(env, "place", (0.4, -0.05, 0.0), (1.3, 0.0, 0.0))
     assert env.scene.held is None and observation["holding"] == 0.0
@@ -195,7 +186,8 @@ def test_place_height_follows_from_measurements_until_the_gripper_is_empty(env):
     """Simulated pose and shape are not used. A memory of measurements is part of the state."""
     lay_out(env, Pose.planar(0.4, -0.1, CUBE / 2), Pose.planar(0.4, -0.1, 1.5 * CUBE))
     assert env.control.memory is None
-    held, known = pick(env, 0.4, -0.1), env.control.memory
+    act(env, "pick", (0.4, -0.1, 0.0))
+    held, known = env.scene.held, env.control.memory
     assert env.get_state().control == known and all(type(number) is float for number in known)
     level = CUBE / 2 + env.task.grasp_params.place_offset
     assert height_at(env, "place", 0.5, 0.1) == pytest.approx(level, abs=1.5e-3)
@@ -207,12 +199,13 @@ def test_place_height_follows_from_measurements_until_the_gripper_is_empty(env):
     level = env.task.grasp_params.pick_offset + env.task.grasp_params.place_offset
     assert height_at(env, "place", 0.4, 0.0) == pytest.approx(level)
     lay_out(env, Pose.planar(0.5, 0.1, CUBE / 2))
-    pick(env, 0.5, 0.1)
-    known = env.control.memory
-    act(env, "pick", (0.4, 0.0, 0.0))  # ignored
-    assert known and env.control.memory == known
-    act(env, "place", (0.4, 0.0, 0.0))
-    assert env.scene.held is None and env.control.memory is None
+    for primitive, x, y, is_known in (
+        ("pick", 0.5, 0.1, True),
+        ("pick", 0.4, 0, True),
+        ("place", 0.4, 0, False),
+    ):
+        act(env, primitive, (x, y, 0.0))
+        assert (env.scene.held is not None) == (env.control.memory is not None) == is_known
 
 
 # Observation
@@ -244,7 +237,7 @@ def slow_projections(view, tool, size):
 
 @pytest.mark.parametrize("sequence", ["pxyr", "pxyzrrr"])
 def test_in_hand_shows_the_heightmap_before_the_pick(make, sequence):
-    """It stays after a failed pick, and is zero after a place, a pick of nothing and a reset."""
+    """It is zero after a place, a pick of nothing and a reset."""
     env = make(STACKING, action_sequence=sequence)
     lay_out(env, Pose.planar(0.5, 0.1, CUBE / 2))
     before = env.observe()
@@ -256,9 +249,6 @@ def test_in_hand_shows_the_heightmap_before_the_pick(make, sequence):
     expected = shown(ElevationMap(before["heightmap"][0], CENTRE, EXTENT), move.pose, 24)
     np.testing.assert_allclose(after["in_hand"], expected, atol=1e-5)
     assert after["in_hand"].any()
-    if env.scene.held is None:
-        ignored, *_, info = act(env, "place", (0.5, 0.15, 0.0))
-        assert info["ignored"] and np.array_equal(ignored["in_hand"], after["in_hand"])
     end, *_ = act(env, "pick" if env.scene.held is None else "place", (0.4, 0.0, 0.1))
     assert not end["in_hand"].any() and not env.reset(seed=0)[0]["in_hand"].any()
 
@@ -274,17 +264,13 @@ def cloud(env, shows_grasped):
     return np.concatenate([camera.points(env.scene.world, absent) for camera in cameras])
 
 
-@pytest.mark.parametrize(
-    "env_kwargs", [{}, {"obs_size": 64, "workspace": [[0.32, 0.6], [-0.1, 0.18], [0.02, 0.2]]}]
-)
-def test_close_loop_heightmap_equals_the_point_cloud_view(env_kwargs, make):
-    env = make("BulletArm/CloseLoopBlockStacking-v0", view="point_cloud", **env_kwargs)
+def test_close_loop_heightmap_equals_the_point_cloud_view(make):
+    workspace = [[0.32, 0.6], [-0.1, 0.18], [0.02, 0.2]]
+    env = make("BulletArm/CloseLoopBlockStacking-v0", view="point_cloud", workspace=workspace, obs_size=32)
     observation, _ = env.reset(seed=1)
     for _ in range(5):
-        robot, config = env.scene.robot, env.config
-        image = close_loop_heightmap(
-            cloud(env, shows_grasped=True), robot.pose, robot.opening, config.workspace, config.obs_size
-        )
+        points, robot = cloud(env, shows_grasped=True), env.scene.robot
+        image = close_loop_heightmap(points, robot.pose, robot.opening, workspace, 32)
         assert (image == observation["heightmap"]).all() and image.dtype == np.float32
         observation, *_ = env.step(env.expert_action())
     assert env.scene.held is not None
@@ -310,13 +296,12 @@ def test_in_hand_image_equals_that_of_the_environment(name, make):
     assert image.any() and (image == after["in_hand"]).all()
 
 
-@pytest.mark.parametrize("floor", [0.0, 0.01])
-def test_heights_of_picks_and_places_equal_those_of_the_environment(floor, make):
-    workspace = [[0.25, 0.65], [-0.2, 0.2], [floor, 1.0]]
+def test_heights_of_picks_and_places_equal_those_of_the_environment(make):
+    workspace = [[0.25, 0.65], [-0.2, 0.2], [0.01, 1.0]]
     env = make("BulletArm/OpenLoopHouseBuilding1-v0", workspace=workspace)
     params = env.task.grasp_params
     before, _ = env.reset(seed=0)
-    for _ in range(3):
+    for _ in range(2):
         action = env.expert_action()
         tool = env.control.executed(env.decode_action(action))
         height = pick_height(before["heightmap"], tool, params.pick_offset, workspace=workspace)
@@ -332,11 +317,9 @@ def test_heights_of_picks_and_places_equal_those_of_the_environment(floor, make)
 
 
 def test_points_must_be_world_coordinates_in_the_square():
-    tool = Pose((0.45, 0.0, 0.2))
-    with pytest.raises(ValueError, match=r"points .*\(3,\)"):
-        close_loop_heightmap([0.4, 0.0, 0.0], tool, 0.05)
-    with pytest.raises(ValueError, match=r"points .*0\.45 m"):
-        close_loop_heightmap([[450.0, 0.0, 0.0]], tool, 0.05)
+    for points, words in (([0.4, 0.0, 0.0], r"\(3,\)"), ([[450.0, 0.0, 0.0]], r"0\.45 m")):
+        with pytest.raises(ValueError, match=f"points .*{words}"):
+            close_loop_heightmap(points, Pose((0.45, 0.0, 0.2)), 0.05)
     with pytest.raises(ValueError, match=r"points .*0\.4 m"):
         open_loop_heightmap([[np.nan, 0.0, 0.0]])
     known, unknown = [[0.45, 0.0, 0.03], [0.5, 0.1, 0.0]], [[np.nan] * 3, [0.45, 0.0, np.inf]]
