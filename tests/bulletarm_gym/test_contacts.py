@@ -1,11 +1,10 @@
 """Contacts: a body falls if nothing supports it, and fingers stop at bodies that they touch."""
 
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from rollouts import PICKING, idle, is_open_loop, step_on
+from rollouts import PICKING, is_open_loop, step_on
 
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, TaskDefaults
 from bulletarm_gym.control import PickPlace
@@ -14,8 +13,6 @@ from bulletarm_gym.objects import cube
 from bulletarm_gym.robots import ROBOTS
 from bulletarm_gym.scene import scaled
 from bulletarm_gym.scene.predicates import at_rest, on_surface, stacked, touching
-from bulletarm_gym.simulation import Body, BodySpec, Contact
-from bulletarm_gym.simulation.motion import deepest_normal
 from bulletarm_gym.tasks import Task, Waypoint
 
 SIDE = 0.05
@@ -51,7 +48,6 @@ def above(height, x=0.0):
     return Pose((x, 0.0, height))
 
 
-STACK = {number: above((number + 0.5) * SIDE) for number in range(3)}
 UNSTABLE = {
     "in the air": {0: above(0.125)},
     "just above the surface": {0: above(HALF + 0.001)},
@@ -106,19 +102,6 @@ def test_unstable_cubes_come_to_rest_before_success_is_evaluated(make, kind, nam
         assert_supported(env)
     if len(ends[0]) == 1:
         assert ends[0] == pytest.approx(ends[1], abs=SAME)
-
-
-@pytest.mark.parametrize("kind", KINDS, ids="-".join)
-def test_stack_falls_without_its_lowest_cube(make, kind):
-    for fast in (True, False):
-        env = arranged(make, kind, STACK, fast)
-        _, info = env.reset(seed=0)
-        assert info["is_success"] and info["is_at_rest"]
-        (x, *yz), orientation = env.scene["cube 0"].pose
-        env.scene["cube 0"].place(Pose((x + 0.06, *yz), orientation))
-        step_on(env, idle(env))
-        assert env.scene["cube 2"].pose.z - env.scene.surface.level < 2.0 * SIDE
-        assert_supported(env)
 
 
 # Fingers
@@ -212,8 +195,7 @@ def test_blocked_arm_presses_little(make, robot, x, top, goal):
         assert -0.03 < arm.pose.z - top < 0.02
     world.step(20)
     points = world.client.getContactPoints(arm.body.id)
-    assert sum(p[9] for p in points) < 25.0
-    assert max((-p[8] for p in points), default=0.0) < DEEPEST
+    assert sum(p[9] for p in points) < 25.0 and all(-p[8] < DEEPEST for p in points)
     env.scene.begin()
     arm.move_to(Pose.planar(0.45, 0.0, 0.1))
     assert arm.pose.z == pytest.approx(0.1, abs=2e-3)
@@ -253,13 +235,3 @@ def test_pressing_arm_slides_in_closed_loop(make):
     env.step([-1.0, 0.6, 0.0, -0.2, 0.0])
     assert arm.pose.x - before.x > 0.02 and abs(arm.pose.y - before.y) < 2e-3
     assert penetration(env) <= DEEPEST
-
-
-def test_grasped_object_blocks_only_where_it_is_squeezed():
-    """Fingers always overlap it, and its contact must not be the direction in which the arm slides."""
-    arm, held, wall = (Body(number, number, BodySpec("part", (), 0.0)) for number in range(3))
-    for depth, normal in ((0.005, (0.0, 0.0, 1.0)), (0.011, (1.0, 0.0, 0.0))):
-        grasp = Contact(0, held, (1.0, 0.0, 0.0), -depth, 50.0)
-        contacts = [grasp, Contact(0, wall, (0.0, 0.0, 1.0), -0.003, 120.0)]
-        world = SimpleNamespace(contacts=lambda _, contacts=contacts: contacts)
-        assert deepest_normal(world, arm, held) == normal

@@ -32,7 +32,7 @@ def picked():
 
 
 def core_of(demonstrations):
-    return demonstrations.make_env().unwrapped
+    return closing(demonstrations.make_env().unwrapped)
 
 
 def test_exports_name_missing_libraries(picked, monkeypatch):
@@ -46,7 +46,7 @@ def test_exports_name_missing_libraries(picked, monkeypatch):
 def test_frames_hold_what_sensors_of_the_environment_read(picked):
     camera = {"size": 32, "position": [1.0, 0.2, 0.6]}
     episode = picked[1]
-    with closing(core_of(picked)) as env:
+    with core_of(picked) as env:
         observed = exports.observations(1, picked, env, {"side": camera}, object_poses=True)
         frames = list(exports.frames(episode, observed))
         plain = next(exports.observations(1, picked, env, {"side": camera}))
@@ -75,7 +75,7 @@ def test_features_describe_the_frames():
     found = []
     for env_id, kwargs in ((DRAWER, {"observation": sensors, "obs_size": 32}), (RAMP, {"num_objects": 2})):
         demonstrations = collect(env_id, 1, seed=0, env_kwargs=kwargs)
-        with closing(core_of(demonstrations)) as env:
+        with core_of(demonstrations) as env:
             observed = exports.observations(0, demonstrations, env, {"front": {"size": 16}}, True)
             frame = next(exports.frames(demonstrations[0], observed))
             found.append(exports.features(env, frame))
@@ -100,7 +100,7 @@ def test_robomimic_file(picked, tmp_path):
     cameras = {"side": side, "wrist": {"mount": "wrist", "size": 16}}
     path = tmp_path / "picking.hdf5"
     assert export_robomimic(picked, path, cameras=cameras, object_poses=True, valid_ratio=0.5) == path
-    with h5py.File(path, "r") as file, closing(core_of(picked)) as env:
+    with h5py.File(path, "r") as file, core_of(picked) as env:
         data = file["data"]
         assert sorted(data) == ["demo_0", "demo_1"]
         assert [file[f"mask/{key}"][()].tolist() for key in ("train", "valid")] == [[b"demo_0"], [b"demo_1"]]
@@ -153,7 +153,7 @@ def test_lerobot_dataset(picked, tmp_path):
 
 def test_rlds_steps(picked):
     """The last step has the last observation and no action."""
-    with closing(core_of(picked)) as env:
+    with core_of(picked) as env:
         observed = list(exports.observations(1, picked, env, {"front": {"size": 16}}))
         found = list(rlds.steps(picked[1], iter(observed), env.instruction))
         n = len(picked[1])

@@ -8,7 +8,7 @@ from unittest.mock import patch
 import gymnasium
 import numpy as np
 import pytest
-from rollouts import PICKING, finish, make_env
+from rollouts import PICKING, digest, finish, make_env
 
 from bulletarm_gym.benchmarks import BENCHMARKS
 from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
@@ -37,13 +37,6 @@ def task_id(name):
     return f"BulletArm/CloseLoop{name}-v0"
 
 
-def solve(env, seed):
-    """Let the expert act; return the number of its steps, 0 without success."""
-    env.reset(seed=seed)
-    success, steps = finish(env)
-    return steps if success else 0
-
-
 def follow(env, waypoint, steps):
     """Move towards a waypoint; return the last info."""
     for _ in range(steps):
@@ -54,33 +47,37 @@ def follow(env, waypoint, steps):
 @modes
 @pytest.mark.parametrize("env_id", CLOSE_LOOP)
 def test_expert_solves_in_about_the_papers_steps(make, env_id, mode):
-    lengths = [solve(make(env_id, **mode), seed) for seed in range(5)]
-    assert all(lengths), lengths
+    env, lengths = make(env_id, **mode), []
+    for seed in range(5):
+        env.reset(seed=seed)
+        solved, steps = finish(env)
+        assert solved
+        lengths.append(steps)
     assert 0.75 <= np.mean(lengths) / ROWS[env_id].optimal_steps <= 1.25
 
 
 @modes
 @pytest.mark.parametrize("env_id", OPEN_LOOP)
 def test_expert_solves_in_the_papers_steps(make, env_id, mode):
-    assert solve(make(env_id, **mode), OPEN_LOOP[env_id]) == ROWS[env_id].optimal_steps
+    env = make(env_id, **mode)
+    env.reset(seed=OPEN_LOOP[env_id])
+    assert finish(env) == (True, ROWS[env_id].optimal_steps)
 
 
 @modes
 @pytest.mark.parametrize("env_id", [*CLOSE_LOOP, *OPEN_LOOP, *SLOPES])
 def test_objects_start_apart_inside_and_at_rest(make, env_id, mode):
     env = make(env_id, **mode)
-    for seed in range(10):
+    for seed in range(5):
         _, info = env.reset(seed=seed)
         assert info["is_valid"] and not info["is_success"]
-        loose, poses = loose_objects(env.scene), [item.pose for item in env.scene]
+        loose, before = loose_objects(env.scene), [item.pose.position for item in env.scene]
         assert all(footprint(item).is_inside(env.config.workspace) for item in loose)
         assert not any(touching(env.scene, *pair) for pair in itertools.combinations(loose, 2))
         env.scene.begin()
         env.scene.world.step(60)
         env.scene.world.end()
-        assert all(
-            math.dist(a.position, b.pose.position) < 2e-3 for a, b in zip(poses, env.scene, strict=True)
-        )
+        np.testing.assert_allclose([item.pose.position for item in env.scene], before, atol=2e-3)
 
 
 @pytest.mark.parametrize("view", ["orthographic", "point_cloud"])
@@ -104,11 +101,7 @@ PLACED = [
     ("BlockInBowl", {"bowl": (0.45, 0.0, 0.035), "cube": (0.45, 0.0, 0.08)}, {"is_success": True}),
     ("BlockInBowl", {"bowl": (0.45, 0.0, 0.035), "cube": (0.45, 0.12, 0.025)}, {"is_in_bowl": False}),
     ("HouseBuilding", {"cube": (0.45, 0.0, 0.025), "triangle": (0.45, 0.0, 0.0755)}, {"is_success": True}),
-    (
-        "HouseBuilding",
-        {"triangle": (0.45, 0.0, 0.025), "cube": (0.45, 0.0, 0.0755)},
-        {"is_stacked": True, "is_roof_on_top": False, "is_success": False},
-    ),
+    ("HouseBuilding", {"triangle": (0.45, 0.0, 0.025), "cube": (0.45, 0.0, 0.0755)}, {"is_success": False}),
 ]
 
 
@@ -148,18 +141,6 @@ def test_cube_grasped_in_the_bowl_is_not_a_success(make):
     assert info["is_in_bowl"] and not info["is_empty"] and not info["is_success"]
 
 
-def test_stack_in_the_gripper_is_not_a_success(make):
-    env = make(task_id("BlockStacking"))
-    env.reset(seed=0)
-    success = held = False
-    while not success:
-        held = env.scene.held is not None
-        *_, info = env.step(env.expert_action())
-        success = info["is_success"]
-        assert not (success and env.scene.held is not None)
-    assert held, "the step before released it"
-
-
 def test_cube_is_next_to_both_walls_of_the_corner(make):
     env = make(task_id("CornerPicking"))
     for seed in range(20):
@@ -169,7 +150,7 @@ def test_cube_is_next_to_both_walls_of_the_corner(make):
         assert abs(inside.yaw) < 0.01
 
 
-@pytest.mark.parametrize("robot", ["kuka", "panda", "ur5", "ur5_robotiq"])
+@pytest.mark.parametrize("robot", ["kuka", "ur5_robotiq"])
 @pytest.mark.parametrize("yaw", [0.0, math.pi / 4.0, math.pi / 2.0])
 def test_straight_pick_fails_in_the_corner(make, robot, yaw):
     env = make(task_id("CornerPicking"), robot=robot)
@@ -214,25 +195,26 @@ def test_instructions_name_the_surface_and_the_number_of_objects(make):
         (PICKING, {}, "Grasp a cube and lift it."),
         (PICKING, {"close_loop_tray": True}, "Grasp a cube in the tray and lift it."),
         (task_id("ObjectGrasping"), {}, "Grasp any object in the tray and lift it."),
-        (task_id("BlockStacking"), {}, "Stack 2 cubes."),
         (ramp, {"num_objects": 3}, "Stack 3 cubes on the ground with ramps."),
+        (PICKING, {"task": f"{__name__}:BlockShaking"}, "Block shaking."),
     ):
         env = make(env_id, **parameters)
         assert env.instruction == env.task_description == env.instructions[0] == instruction
 
 
-def test_info_of_reset_has_a_sampled_instruction():
-    plain = make_env(PICKING, observation=["holding"])
+def test_info_of_reset_has_a_sampled_instruction(make):
+    """The wrapper does not change the episodes."""
+    plain = make(PICKING, 1)
     env = InstructionInfo(plain)
     _, info = env.reset(seed=4)
     found = [info.pop("instruction"), *(env.reset()[1]["instruction"] for _ in range(20))]
     assert set(found) == set(plain.instructions) and len(set(found)) > 1
-    start = plain.get_state().episode_seed
+    after = digest(plain.observe())
     assert info == plain.reset(seed=4)[1]
     for _ in range(20):
-        plain.reset()
-    assert plain.get_state().episode_seed == start, "the wrapper does not change the episodes"
-    assert [env.reset(seed=4)[1]["instruction"], env.reset()[1]["instruction"]] == found[:2]
+        observation, _ = plain.reset()
+    assert digest(observation) == after
+    assert env.reset(seed=4)[1]["instruction"] == found[0]
     assert "instruction" not in env.step(np.zeros(5))[-1]
 
 
@@ -250,16 +232,12 @@ class BlockShaking(BlockPicking):
     instructions = ()
 
 
-def test_description_and_instruction_follow_from_the_name(make):
-    assert make(PICKING, task=f"{__name__}:BlockShaking").instructions == ("Block shaking.",)
-
-
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [
         *(
             ("instructions", value, r"^instructions of BlockShaking must be .*, got ")
-            for value in ("Lift it.", ["Lift it."], ("Lift {what}.",), ("Lift {",), (3,))
+            for value in ("Lift it.", ("Lift {what}.",), (3,))
         ),
         ("bodies", lambda task, config: None, r"bodies\(\) of BlockShaking must"),
         ("bodies", lambda *arguments: 2 * BlockPicking.bodies(*arguments), r"bodies\(\) of .* must"),
@@ -268,7 +246,6 @@ def test_description_and_instruction_follow_from_the_name(make):
             ("evaluate", lambda task, scene, value=value: value, r"^evaluate\(\) of .* with 'success'")
             for value in (None, {"is_success": True}, {"success": True, "ignored": False})
         ),
-        ("plan", lambda task, scene, rng: (), r"plan\(\) .* got none"),
         ("plan", lambda task, scene, rng: None, r"plan\(\) .* got none"),
     ],
 )
