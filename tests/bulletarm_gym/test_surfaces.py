@@ -11,11 +11,7 @@ from bulletarm_gym.geometry import Footprint, PlacementError, Pose
 from bulletarm_gym.objects.blocks import SHAPES
 from bulletarm_gym.observations import HeightRenderer, Window
 from bulletarm_gym.scene.predicates import on_site, on_surface, touching
-from bulletarm_gym.scene.sampling import (
-    footprint,
-    free_site,
-    place_apart,
-)
+from bulletarm_gym.scene.sampling import footprint, free_site, place_apart
 from bulletarm_gym.scene.scene import MAX_BODIES
 from bulletarm_gym.simulation import World
 from bulletarm_gym.simulation.state import PHYSICS_MODES
@@ -54,7 +50,7 @@ def grid():
 
 def test_heightmap_and_simulation_have_the_heights_of_the_surface(env):
     scene, points = env.scene, grid()
-    for seed in range(10):
+    for seed in range(4):
         scene.clear(np.random.default_rng(seed))
         window = Window(env.config.centre, env.config.workspace_size, PIXELS)
         rendered = HeightRenderer.of(scene).heights(window).ravel()
@@ -104,7 +100,7 @@ def test_ranges_of_the_bumps():
 
 def test_placed_objects_fit_and_stay(env):
     scene, on_strip = env.scene, []
-    for seed in range(20):
+    for seed in range(12):
         rng = np.random.default_rng(seed)
         scene.clear(rng)
         place_apart(scene, rng, scene.objects, gap=0.03)
@@ -168,24 +164,12 @@ def test_scenes_with_little_space_are_valid(make, name, parameters, seeds):
 @pytest.mark.parametrize("robot", ["kuka", "panda", "ur5"])
 def test_ramps_keep_clear_of_the_arm(make, robot):
     scene = make(ENV_ID, surface="ramp", robot=robot, **PARAMETERS).scene
-    for seed in range(50):
+    for seed in range(20):
         scene.clear(np.random.default_rng(seed))
         plates = [body for body in scene.surface.bodies[1:] if scene.world.active[body.index]]
-        assert len(plates) == 2
-        for plate in plates:
-            points = scene.world.closest_points(scene.robot.body, plate, 0.02)
-            # The base is as fixed as the plate.
-            assert not any(0 <= point.link < SHOULDER for point in points)
-
-
-# Sampling of poses
-
-
-@pytest.fixture
-def scene(make):
-    env = make(ENV_ID, num_objects=3)
-    env.reset(seed=0)
-    return env.scene
+        near = [point for one in plates for point in scene.world.closest_points(scene.robot.body, one, 0.02)]
+        # The base is as fixed as the plates.
+        assert len(plates) == 2 and not any(0 <= point.link < SHOULDER for point in near)
 
 
 # Loaded bodies
