@@ -34,15 +34,20 @@ def typical_id(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture(scope="session")
 def make() -> Iterator[Callable[..., ManipulationEnv]]:
-    """Make environments that tests share, up to :data:`KEPT` at once; ``instance`` tells equal ones apart."""
+    """Make environments that tests share, up to :data:`KEPT` at once; ``instance`` tells equal ones apart.
+
+    With a seed they are reset.
+    """
     made: dict[str, ManipulationEnv] = {}
 
-    def get(env_id: str, instance: int = 0, **parameters: Any) -> ManipulationEnv:
+    def get(env_id: str, instance: int = 0, *, seed: int | None = None, **parameters: Any) -> ManipulationEnv:
         key = json.dumps([env_id, instance, parameters], sort_keys=True)
         env = made.pop(key, None)
         made[key] = env = env or rollouts.make_env(env_id, **parameters)
         if len(made) > KEPT:
             made.pop(next(iter(made))).close()
+        if seed is not None:
+            env.reset(seed=seed)
         return env
 
     yield get

@@ -32,9 +32,6 @@ SB3_IMAGE_WARNINGS = ("has to be `np.uint8`", "are not in [0, 255]", "minimal re
 """Warnings of Stable-Baselines3 about images that are depths in metres: their type, bounds and size."""
 
 
-# Every id
-
-
 @pytest.mark.filterwarnings("error")
 def test_contract(env_id):
     """Gymnasium's checks, an episode that the expert solves, equal seeds, exact states and an image."""
@@ -89,9 +86,6 @@ def solves(env, seed):
     return bool(info["is_success"])
 
 
-# Checkers
-
-
 @pytest.mark.filterwarnings("error")
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="displays are found on Linux only")
 @pytest.mark.parametrize("display", ["", ":0"])
@@ -106,9 +100,6 @@ def test_window_needs_a_display(display, monkeypatch):
         check_env(env)
         with pytest.raises(RuntimeError, match="DISPLAY"):
             make_env(PICKING, render_mode="human")
-
-
-# End of an episode
 
 
 def test_free_object_outside_the_workspace_ends_the_episode(typical_env):
@@ -134,8 +125,7 @@ def test_free_object_outside_the_workspace_ends_the_episode(typical_env):
 
 @pytest.mark.parametrize(("x", "valid"), [(0.595, True), (0.605, False)])
 def test_success_counts_only_in_a_valid_scene(make, x, valid):
-    env = make(REACHING)
-    env.reset(seed=0)
+    env = make(REACHING, seed=0)
     env.scene["cube"].place(Pose((0.35, 0.1, 0.025)))
     for _ in range(8):
         step = np.subtract((0.6, 0.0, 0.04), env.scene.robot.pose.position)
@@ -155,13 +145,9 @@ def test_success_at_the_time_limit_terminates():
 
 @pytest.mark.parametrize(("check", "valid"), [("point", True), ("bounding_box", False)])
 def test_bounding_box_is_stricter_than_point(make, check, valid):
-    env = make(PICKING, workspace_check=check)
-    env.reset(seed=0)
+    env = make(PICKING, workspace_check=check, seed=0)
     env.scene["cube"].place(Pose((0.59, 0.1, 0.025)))
     assert env.step(idle(env))[4]["is_valid"] is valid
-
-
-# Actions
 
 
 def test_form_of_an_action_does_not_matter(typical_env):
@@ -185,9 +171,6 @@ def test_other_actions_are_rejected_and_render_warns_without_a_mode(picking):
         assert picking.get_state() == state
     with pytest.warns(UserWarning, match=r"render_mode must be set for render\(\), got None"):
         assert picking.render() is None
-
-
-# Specs
 
 
 def test_spec_keeps_the_parameters_as_json():
@@ -272,9 +255,6 @@ def test_environment_needs_a_reset_and_rejects_calls_after_close():
         with pytest.raises(gymnasium.error.ClosedEnvironmentError):
             call()
     fresh.close()
-
-
-# Memory
 
 
 def test_resets_and_states_do_not_grow(typical_env):

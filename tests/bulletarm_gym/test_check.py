@@ -43,8 +43,6 @@ def test_missing_robot_and_slow_steps_are_reported():
     assert "steps/s" in finding.value and finding.advice
 
 
-# Environments
-
 TASKS = """
     import bulletarm_gym
     from bulletarm_gym.tasks.picking import BlockPicking, BlockReaching
@@ -120,8 +118,6 @@ def test_faults_of_a_users_task_are_found(tmp_path, monkeypatch, capsys):
         assert reports[name].count("FAILED") == 1 and "equal states: the pose of 'cube" in reports[name]
     assert err == f"failed: {', '.join([ids[0], *ids[2:]])}\n"
 
-
-# Robots
 
 WORKSPACE = PARAMETERS["workspace"]
 

@@ -222,9 +222,6 @@ def test_components_of_a_notebook_work_in_their_process():
         pickle.loads(child.stdout)
 
 
-# Sensors
-
-
 STACKING = "BulletArm/OpenLoopBlockStacking-v0"
 CAMERAS = [{"name": "rgb", "size": 32}, {"name": "point_cloud", "points": 200}]
 ALL = ["heightmap", "color", "segmentation", *CAMERAS, "joint_state", "holding"]
@@ -259,8 +256,7 @@ def test_actions_and_states_do_not_depend_on_what_is_observed(make):
 
 def test_actions_use_the_scene_as_it_is(make):
     """A user may have moved something since the last observation."""
-    env = make(STACKING)
-    env.reset(seed=0)
+    env = make(STACKING, seed=0)
     first, *others = env.scene
     first.place(Pose.planar(0.45, 0.0, 0.015))
     for number, item in enumerate(others):
@@ -270,16 +266,13 @@ def test_actions_use_the_scene_as_it_is(make):
 
 
 def test_joint_state_gives_the_tool_pose(make):
-    env = make(PICKING, observation=["joint_state"])
-    env.reset(seed=0)
+    env = make(PICKING, observation=["joint_state"], seed=0)
     observation, *_ = env.step([1.0, 0.5, 0.5, -0.5, 0.5])
     *joints, opening = observation["joint_state"]
     pose = env.scene.robot.model.chain.forward(np.array(joints, float))
     assert pose.position == pytest.approx(env.scene.robot.pose.position, abs=1e-5)
     assert opening == pytest.approx(1.0)
 
-
-# Sensors of users
 
 DOWN = [1.0, 0.0, 0.0, -0.5, 0.0]
 

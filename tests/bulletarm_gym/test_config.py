@@ -116,9 +116,6 @@ def test_wrong_values_of_every_parameter_are_refused():
                 assert ("close-loop" in str(error.value)) == (name in ("close_loop_tray", "view"))
 
 
-# Combinations of parameters
-
-
 def square(low, high, *z):
     """Return a workspace between two x, with y around 0."""
     half = (high - low) / 2.0

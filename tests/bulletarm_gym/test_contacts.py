@@ -104,9 +104,6 @@ def test_unstable_cubes_come_to_rest_before_success_is_evaluated(make, kind, nam
         assert ends[0] == pytest.approx(ends[1], abs=SAME)
 
 
-# Fingers
-
-
 DEEPEST = 3e-3
 """Maximum overlap (m) of the gripper and of the grasped object with a body."""
 NEAR = 0.03
@@ -183,8 +180,7 @@ def test_fingers_stay_out_of_bodies_for_long(make, env_id, robot):
 @pytest.mark.parametrize("x, top, goal", [(0.45, 0.05, 0.02), (0.33, 0.0, -0.1)], ids=["cube", "ground"])
 def test_blocked_arm_presses_little(make, robot, x, top, goal):
     """It retreats until the object that it pressed into the ground has recovered."""
-    env = make(PICKING, robot=robot, fast_mode=False)
-    env.reset(seed=0)
+    env = make(PICKING, robot=robot, fast_mode=False, seed=0)
     env.scene["cube"].place(Pose((x, 0.0, 0.025)))
     arm, world = env.scene.robot, env.scene.world
     arm.home(Pose.planar(0.45, 0.0, 0.08))
@@ -203,8 +199,7 @@ def test_blocked_arm_presses_little(make, robot, x, top, goal):
 
 def test_blocked_pick_retreats_on_its_path(make, monkeypatch):
     """It stops above the start of the retreat, and must not go down there first."""
-    env = make("BulletArm/OpenLoopBlockStacking-v0")
-    env.reset(seed=0)
+    env = make("BulletArm/OpenLoopBlockStacking-v0", seed=0)
     side = env.scene["cube 0"].spec.extents[2]
     for number in range(3):
         env.scene[f"cube {number}"].place(Pose((0.45, 0.0, (number + 0.5) * side)))
@@ -225,8 +220,7 @@ def test_blocked_pick_retreats_on_its_path(make, monkeypatch):
 
 def test_pressing_arm_slides_in_closed_loop(make):
     """As an arm that yields to contact forces; it would stand still for ever with a policy that presses."""
-    env = make(PICKING)
-    env.reset(seed=0)
+    env = make(PICKING, seed=0)
     env.scene["cube"].place(Pose((0.45, 0.0, 0.025)))
     arm = env.scene.robot
     arm.home(Pose.planar(0.45, 0.0, 0.08))

@@ -60,9 +60,6 @@ def core_of(demonstrations):
     return closing(demonstrations.make_env().unwrapped)
 
 
-# Collection
-
-
 def test_episodes_are_what_the_environment_does(basket):
     assert len(basket) == 2 and basket.attempts >= 2
     with core_of(basket) as env:
@@ -132,9 +129,6 @@ def test_noise_changes_actions(picked):
 def test_collect_rejects_other_arguments(arguments, options, message):
     with pytest.raises(ValueError, match=message):
         collect(*arguments, **options)
-
-
-# Files
 
 
 def test_files_and_slices_keep_everything(basket, tmp_path):

@@ -92,14 +92,10 @@ def test_expert_action_is_a_function_of_the_state(make, typical_id):
 @pytest.mark.parametrize("height", [0.06, 0.125])
 def test_expert_keeps_clear_of_the_last_joint_limit_at_every_height(make, height):
     """Near that limit one of these heights is reached in a straight motion, the other is not."""
-    env = make("BulletArm/CloseLoopBinPacking-v0", robot="panda")
-    env.reset(seed=0)
+    env = make("BulletArm/CloseLoopBinPacking-v0", robot="panda", seed=0)
     env.scene.robot.home(Pose.planar(0.3532, 0.1133, 0.125, -0.293))
     goal = avoid_limits(env.scene, Pose.planar(0.3531, 0.1137, height, 2.849))
     assert goal.yaw == pytest.approx(2.849 - np.pi)
-
-
-# What controls use
 
 
 SIMULATED = (Scene, World, SceneObject, Body, Robot, Task)
@@ -130,8 +126,7 @@ def reachable(thing, seen):
 
 @pytest.mark.parametrize("env_id", [PICKING, "BulletArm/OpenLoopHouseBuilding2-v0"])
 def test_control_reaches_no_simulated_object(make, env_id):
-    env = make(env_id)
-    env.reset(seed=0)
+    env = make(env_id, seed=0)
     while env.scene.held is None:
         env.step(env.expert_action())
     assert any(isinstance(thing, Scene) for thing in reachable(env.tracker, set()))
@@ -140,8 +135,7 @@ def test_control_reaches_no_simulated_object(make, env_id):
 
 
 def test_expert_respects_the_limits_of_the_control(make):
-    env = make(PICKING, control=f"{__name__}:SmallSteps", max_steps=200)
-    env.reset(seed=1)
+    env = make(PICKING, control=f"{__name__}:SmallSteps", max_steps=200, seed=1)
     move = env.decode_action(env.expert_action())
     assert max(map(abs, move.translation)) <= 0.01 + 1e-9
     assert abs(move.rotation) <= math.pi / 20.0 + 1e-9

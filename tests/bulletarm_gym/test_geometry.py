@@ -161,9 +161,6 @@ def test_agrees_with_a_ray_caster(seed):
     assert np.median(error[expected > 0]) < 2e-7
 
 
-# Poses
-
-
 def random_poses(count):
     rng = np.random.default_rng(0)
     rotations = [Rotation.random(random_state=rng).as_quat().tolist() for _ in range(count)]

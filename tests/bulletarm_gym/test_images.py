@@ -70,8 +70,7 @@ def test_image_is_centred_on_the_fingertips_and_larger_than_the_workspace(make, 
         cube = Pose.planar(hand[0] + offset[0], hand[1] + offset[1], 0.025, 0.2)
         image = look(scene, Pose.planar(*hand, 0.2, math.pi / 4), cube)
         np.testing.assert_allclose(centroid(raised(image)), offset, atol=RESOLUTION / 2)
-    env = make(PICKING, obs_size=32, workspace=[[0.3, 0.5], [-0.1, 0.1], [0.01, 0.25]])
-    env.reset(seed=0)
+    env = make(PICKING, obs_size=32, workspace=[[0.3, 0.5], [-0.1, 0.1], [0.01, 0.25]], seed=0)
     image = look(env, Pose.planar(0.4, 0.0, 0.2), Pose.planar(0.5, 0.0, 0.025))
     assert image.shape == (32, 32)
     np.testing.assert_allclose(centroid(raised(image), 0.3), (0.1, 0.0), atol=0.3 / 64)
@@ -249,8 +248,7 @@ def test_wrist_camera_moves_with_the_gripper(make, env_id):
 
 
 def test_point_cloud_measures_the_cube(make):
-    env = make(PICKING, observation=["heightmap", {"name": "point_cloud", "points": 4000}])
-    env.reset(seed=0)
+    env = make(PICKING, observation=["heightmap", {"name": "point_cloud", "points": 4000}], seed=0)
     env.scene.robot.home(Pose.planar(0.38, -0.08, 0.2))
     cube = Pose.planar(0.5, 0.06, 0.025, 0.3)
     env.scene["cube"].place(cube)
@@ -267,8 +265,7 @@ def test_point_cloud_measures_the_cube(make):
 
 
 def test_color_and_segmentation_show_the_cube_and_the_fingers(make):
-    env = make(PICKING, observation=TOP)
-    env.reset(seed=0)
+    env = make(PICKING, observation=TOP, seed=0)
     images = []
     for turn, x, y in ((0.0, 0.07, 0.06), (math.pi / 2, -0.06, 0.07)):
         env.scene.robot.home(Pose.planar(0.45, 0.0, 0.2, 0.4 + turn))

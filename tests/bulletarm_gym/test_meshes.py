@@ -54,9 +54,6 @@ def write_model(folder, mesh, content):
     return write_link(folder / "arm.urdf", INERTIAL, shape=f'<geometry><mesh filename="{mesh}"/></geometry>')
 
 
-# Folders of objects
-
-
 def test_random_urdfs_of_pybullet(tmp_path):
     for name in ("000", "001", "168"):
         shutil.copytree(Path(pybullet_data.getDataPath()) / "random_urdfs" / name, tmp_path / name)
@@ -205,9 +202,6 @@ def test_objects_wider_than_the_stroke_are_refused_by_name(make, tmp_path):
     with pytest.raises(ValueError, match=r"^object_set must be .*wide\.obj is 0\.12 m wide"):
         make(GRASPING, 1, **parameters)
     make(GRASPING, object_scale_range=0.5, **parameters)
-
-
-# Models in Bullet
 
 
 def simulated_size(path):

@@ -121,9 +121,6 @@ def test_objects_rest_where_they_are_placed():
         assert now.tilt - then.tilt < math.radians(7.0 if leans else 1.0), body.spec.name
 
 
-# Convex hulls of users' meshes
-
-
 def grid_box(size, squares):
     """Return the vertices of a box whose faces are divided into squares."""
     steps = np.linspace(-0.5, 0.5, squares + 1)

@@ -29,8 +29,7 @@ CENTRE, EXTENT = (0.45, 0.0), 0.4
 
 @pytest.fixture
 def env(make):
-    env = make(STACKING)
-    env.reset(seed=0)
+    env = make(STACKING, seed=0)
     return env
 
 
@@ -49,9 +48,6 @@ def act(env, primitive, position, rotation=(0.0, 0.0, 0.0)):
 def height_at(env, primitive, x, y):
     """Return the decoded height (m) of a pick or place without z."""
     return float(env.decode_action(env.encode_action(PickPlace(primitive, (x, y, 0.0)))).position[2])
-
-
-# Actions
 
 
 @pytest.mark.parametrize("half", [True, False])
@@ -109,8 +105,7 @@ def test_encode_clips_positions_and_rejects_an_unknown_primitive(env):
 
 
 def test_action_without_p_picks_when_empty_and_places_when_holding(make):
-    env = make(STACKING, action_sequence="xyr")
-    env.reset(seed=0)
+    env = make(STACKING, action_sequence="xyr", seed=0)
     moves = []
     for _ in range(4):
         action = env.expert_action()
@@ -130,9 +125,6 @@ def test_pick_while_holding_and_place_while_empty_change_nothing(env):
     observation, *_, info = act(env, "pick", (0.3, 0.1, 0.0))
     assert info["ignored"] and env.scene.world.get_state() == world and env.get_state().steps == 3
     assert digest(observation) == digest(before)
-
-
-# Motion
 
 
 def test_pick_and_place_move_a_cube_to_the_target(env):
@@ -156,8 +148,7 @@ def test_pick_and_place_move_a_cube_to_the_target(env):
 
 @pytest.mark.parametrize("fast", [True, False])
 def test_tilted_pick_holds_a_cube_upright(make, fast):
-    env = make("BulletArm/OpenLoopRampBlockStacking-v0", fast_mode=fast)
-    env.reset(seed=1)
+    env = make("BulletArm/OpenLoopRampBlockStacking-v0", fast_mode=fast, seed=1)
     cube = max(env.scene, key=lambda obj: obj.pose.tilt)
     assert cube.pose.tilt > 0.15
     quarters = (cube.pose.compose(Pose.planar(0.0, 0.0, 0.0, turn * math.pi / 2)) for turn in range(4))
@@ -169,9 +160,6 @@ def test_tilted_pick_holds_a_cube_upright(make, fast):
     act(env, "place", (spot[0], spot[1], CUBE / 2 + 2e-3))
     assert cube.pose.position == pytest.approx((spot[0], spot[1], CUBE / 2), abs=0.01)
     assert cube.pose.tilt < 0.01
-
-
-# Heights of actions without z
 
 
 def test_pick_height_is_half_a_cube_below_the_highest_point(env):
@@ -206,9 +194,6 @@ def test_place_height_follows_from_measurements_until_the_gripper_is_empty(env):
     ):
         act(env, primitive, (x, y, 0.0))
         assert (env.scene.held is not None) == (env.control.memory is not None) == is_known
-
-
-# Observation
 
 
 def slow_crop(view, tool, size):
@@ -253,9 +238,6 @@ def test_in_hand_shows_the_heightmap_before_the_pick(make, sequence):
     assert not end["in_hand"].any() and not env.reset(seed=0)[0]["in_hand"].any()
 
 
-# Observations from point clouds
-
-
 def cloud(env, shows_grasped):
     """Return the points of two depth cameras next to the workspace, without the arm."""
     robot = env.scene.robot
@@ -277,8 +259,7 @@ def test_close_loop_heightmap_equals_the_point_cloud_view(make):
 
 
 def test_open_loop_heightmap_differs_from_the_orthographic_view_at_edges_only(make):
-    env = make("BulletArm/OpenLoopBlockStacking-v0")
-    env.reset(seed=0)
+    env = make("BulletArm/OpenLoopBlockStacking-v0", seed=0)
     for _ in range(3):
         observation, *_ = env.step(env.expert_action())
         difference = np.abs(open_loop_heightmap(cloud(env, shows_grasped=False)) - observation["heightmap"])

@@ -75,8 +75,6 @@ def test_only_make_compiles(tmp_path):
     assert output.splitlines() == [f"{name} 0" for name in NAMES] and len(log) == 1, log
 
 
-# Output of the physics engine
-
 MAKE = "import bulletarm_gym, gymnasium; gymnasium.make('BulletArm/CloseLoopBlockReaching-v0')"
 # A release of PyBullet may print by Python, past it, and into the buffer of C's standard output.
 TALKATIVE = """

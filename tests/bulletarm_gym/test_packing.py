@@ -42,8 +42,7 @@ def place(env, frame, **poses):
 
 
 def test_blocks_are_packed_below_the_rim(make):
-    env = make(PACKING, num_objects=1)
-    env.reset(seed=0)
+    env = make(PACKING, num_objects=1, seed=0)
     outside = ((0.0, 0.0, 0.081), (0.09, 0.0, 0.03), (0.0, 0.074, 0.03))
     for local in ((0.08, 0.06, 0.079), *outside):
         place(env, "bin", block_0=Pose(local))
@@ -51,8 +50,7 @@ def test_blocks_are_packed_below_the_rim(make):
 
 
 def test_expert_packs_eight_of_the_largest_blocks(make):
-    env = make(PACKING)
-    env.reset(seed=3)
+    env = make(PACKING, seed=3)
     for item in env.scene.objects[1:]:
         pose = item.pose
         item.park()
@@ -62,8 +60,7 @@ def test_expert_packs_eight_of_the_largest_blocks(make):
 
 
 def test_bottles_are_upright_in_the_tray(make):
-    env = make(BOTTLES, num_objects=1)
-    env.reset(seed=0)
+    env = make(BOTTLES, num_objects=1, seed=0)
     half = env.scene["bottle 0"].spec.extents[2] / 2.0
     for local, arranged in (((0.05, 0.03, 0.005 + half), True), ((0.15, 0.0, half), False)):
         place(env, "tray", bottle_0=Pose(local))
@@ -77,8 +74,7 @@ def test_bottles_are_upright_in_the_tray(make):
 
 @pytest.fixture
 def pallet(make):
-    env = make(PALLETIZING, max_steps=100)
-    env.reset(seed=0)
+    env = make(PALLETIZING, max_steps=100, seed=0)
     return env
 
 
@@ -137,8 +133,7 @@ def test_episode_ends_if_the_next_box_has_no_free_pose(pallet):
 
 
 def test_expert_corrects_a_misplaced_box(make):
-    env = make(PALLETIZING, max_steps=100, num_objects=6)
-    env.reset(seed=2)
+    env = make(PALLETIZING, max_steps=100, num_objects=6, seed=2)
     for _ in range(5):
         env.step(env.expert_action())
     tool = env.scene.robot.pose
@@ -155,8 +150,7 @@ def test_expert_corrects_a_misplaced_box(make):
 
 @pytest.fixture
 def covid(make):
-    env = make(COVID, max_steps=100)
-    env.reset(seed=0)
+    env = make(COVID, max_steps=100, seed=0)
     return env
 
 
@@ -266,8 +260,7 @@ def test_grasped_object_is_removed_at_reset_and_the_others_stay(env, make):
     env.reset()
     assert set(_poses(env)) == before - {held.slot.name}
     assert env.scene.robot.held is None and env.scene.robot.opening_ratio == 1.0
-    other = make(ENV_ID, 1)
-    other.reset(seed=6)
+    other = make(ENV_ID, 1, seed=6)
     other.set_state(pickle.loads(pickle.dumps(env.get_state())))
     assert _poses(other) == _poses(env)
     assert transcript(other, 8) == transcript(env, 8)

@@ -77,8 +77,7 @@ def test_invalid_argument_is_rejected(play, tmp_path, arguments, word, capsys):
 
 
 def test_open_loop_keys_move_a_target(make):
-    env = make("BulletArm/OpenLoopRampBlockStacking-v0", num_objects=2)
-    env.reset(seed=0)
+    env = make("BulletArm/OpenLoopRampBlockStacking-v0", num_objects=2, seed=0)
     keys = Teleoperation(env)
     assert [keys.press(key) for key in "ssdi"] == [None] * 4
     target = [0.1, 0.05, -0.8, 0, 0.25, 0]

@@ -44,9 +44,6 @@ def values_of(info):
     return {key.removeprefix(PREFIX): value for key, value in info.items() if key.startswith(PREFIX)}
 
 
-# Ranges
-
-
 def test_invalid_ranges_are_rejected_by_name():
     for name, value in itertools.product(NAMES, ([2.0, -2.0], [0.0, 99.0], float("nan"), ["1", "1"], [1.0])):
         with pytest.raises(ValueError, match=rf"^{name} must be a number or \[low, high\], from .*, got "):
@@ -64,9 +61,6 @@ def test_a_randomization_is_stored_as_json():
     assert gymnasium.envs.registration.EnvSpec.from_json(env.spec.to_json()) == env.spec
 
 
-# Info
-
-
 @pytest.mark.parametrize("env_id", [PICKING, STACKING])
 def test_sampled_values_are_in_info(make, env_id):
     env = make(env_id, obs_size=32, randomization="real")
@@ -82,9 +76,6 @@ def test_sampled_values_are_in_info(make, env_id):
         seen.append(values)
     assert len(seen[0]) == len(ranges.varied) + 6 and len({v["object_mass"] for v in seen}) == 5
     assert not values_of(make(env_id).reset(seed=0)[1])
-
-
-# Properties of bodies
 
 
 def in_engine(env):
@@ -113,8 +104,7 @@ def test_properties_are_in_effect_until_the_next_reset(picking):
 
 
 def test_colour_in_effect_is_observed_and_rendered(make):
-    env = make(PICKING, render_mode="rgb_array", observation=["color"], obs_size=32)
-    env.reset(seed=0)
+    env = make(PICKING, render_mode="rgb_array", observation=["color"], obs_size=32, seed=0)
     before = env.render()
     env.scene["cube"].set_properties(colour=GREEN)
     changed = env.observe()["color"].reshape(3, -1).T == np.rint(255 * np.array(GREEN[:3]))
@@ -122,8 +112,7 @@ def test_colour_in_effect_is_observed_and_rendered(make):
 
 
 def test_property_out_of_range_is_rejected(make):
-    env = make("BulletArm/CloseLoopCornerPicking-v0")
-    env.reset(seed=0)
+    env = make("BulletArm/CloseLoopCornerPicking-v0", seed=0)
     before = env.get_state()
     wrong = [("mass", 0.0), ("friction", -0.1), ("restitution", math.nan), ("colour", (0.1, 0.2, 0.3, 1.1))]
     for slot, name, value in [*(("cube", *pair) for pair in wrong), ("corner", "mass", 1.0)]:
@@ -136,12 +125,8 @@ def test_property_out_of_range_is_rejected(make):
     assert env.get_state() == before
 
 
-# Effects
-
-
 def test_factors_change_the_properties_of_bodies(make):
-    env = make(DRAWER, randomization={**FACTORS, "gripper_force": 1.5, "colour": 0.5})
-    env.reset(seed=0)
+    env = make(DRAWER, randomization={**FACTORS, "gripper_force": 1.5, "colour": 0.5}, seed=0)
     world, robot = env.scene.world, env.scene.robot
     for obj in env.scene.objects:
         assert obj.properties.friction == pytest.approx(0.8 * obj.spec.friction)
@@ -236,9 +221,6 @@ def test_edges_are_ragged_and_planes_are_not():
     assert changed[31:33].all() and not changed[:31].any() and not changed[33:].any()
 
 
-# Actions
-
-
 def test_delayed_actions_are_executed_one_step_later(make):
     env, late = make(PICKING), make(PICKING, randomization={"action_delay": 1.0})
     actions = np.random.default_rng(0).uniform(-0.5, 0.5, (4, 5)).astype(np.float32)
@@ -265,9 +247,6 @@ def test_action_noise_spares_the_opening(make):
         openings.append(env.scene.robot.opening_ratio)
     assert np.std(moves) == pytest.approx(0.2 * 0.05, rel=0.5)
     assert np.allclose(openings, 1.0, atol=0.01)
-
-
-# Exactness
 
 
 def check_exactness(make, env_id, **parameters):

@@ -65,9 +65,6 @@ def test_recorded_expert_equals_collected_expert(path):
         np.testing.assert_equal(getattr(recorded[0], name), values)
 
 
-# States
-
-
 @pytest.mark.parametrize("change", ["option", "place", "set_state"])
 def test_episode_begins_at_the_state_of_the_first_action(change, path):
     env = record(path)
@@ -91,9 +88,6 @@ def test_episode_begins_at_the_state_of_the_first_action(change, path):
     assert episode.state == expected and episode.seed is None
     np.testing.assert_allclose(episode.observations["heightmap"][0], heights, atol=1e-4)
     assert found.attempts == (1 if change == "place" else 2)
-
-
-# Actions
 
 
 def test_recorded_actions_are_inside_the_action_space(path):
@@ -127,9 +121,6 @@ def test_inner_wrappers_may_observe_and_the_spec_makes_a_recorder_of_the_same_fi
     assert play(env, 0)
     again = gymnasium.make(record(path).spec)
     assert len(again) == 1 and play(again, 1) and seeds(path) == [0, 1]
-
-
-# Files
 
 
 def test_attempts_count_failed_and_abandoned_episodes(path):

@@ -36,8 +36,7 @@ def side(env):
 
 
 def test_scales_are_narrowed_for_one_episode(make):
-    env = make(PICKING, **SIZES)
-    env.reset(seed=0)
+    env = make(PICKING, **SIZES, seed=0)
     narrow = {side(env) for _ in range(15) if env.reset(options={"object_scale_range": [0.7, 0.74]})}
     assert narrow == {0.7, 0.72, 0.74}
     env.reset(options={"object_scale_range": 0.9})
@@ -49,8 +48,7 @@ def test_scales_are_narrowed_for_one_episode(make):
 @pytest.mark.parametrize("case", FEWER, ids=lambda case: case[0].split("/")[1])
 def test_expert_solves_episodes_with_fewer_objects(make, case):
     env_id, parameters, count = case
-    env = make(env_id, obs_size=32, **parameters)
-    env.reset(seed=0)
+    env = make(env_id, obs_size=32, **parameters, seed=0)
     total, solved = len(list(env.scene)), False
     for seed in range(3):
         observation, _ = env.reset(seed=seed, options={"num_objects": count})
@@ -78,8 +76,7 @@ def test_state_of_a_narrowed_episode_is_exact(make, case):
 
 
 def test_clutter_is_kept_while_the_number_is_the_same(make):
-    env = make(GRASPING, obs_size=32)
-    env.reset(seed=0)
+    env = make(GRASPING, obs_size=32, seed=0)
     options = {"num_objects": 2}
     env.reset(options=options)
     chosen = [obj.slot.name for obj in env.scene]
@@ -89,9 +86,6 @@ def test_clutter_is_kept_while_the_number_is_the_same(make):
     assert len(chosen) == 2 and [obj.slot.name for obj in env.scene] != chosen
     env.reset()
     assert len(list(env.scene)) == 5
-
-
-# Rejected options
 
 
 @pytest.mark.parametrize(
@@ -114,8 +108,7 @@ def test_clutter_is_kept_while_the_number_is_the_same(make):
     ids=str,
 )
 def test_invalid_options_are_rejected(make, options, message):
-    env = make(PICKING, **SIZES)
-    env.reset(seed=0)
+    env = make(PICKING, **SIZES, seed=0)
     state = env.get_state()
     with pytest.raises(ValueError, match=message):
         env.reset(options=options)
@@ -130,9 +123,6 @@ def test_state_after_the_end_and_other_options_are_rejected(make):
         env.reset(options={"state": env.unwrapped.get_state()})
     with pytest.raises(ValueError, match=r"options must be .*got 3"):
         env.set_reset_options(3)
-
-
-# Vector environments
 
 
 def test_options_reach_the_members_of_sb3():
@@ -162,9 +152,6 @@ def test_options_reach_the_members_of_gymnasium():
     assert infos["randomization/object_mass"].tolist() == [1.0, 1.0]
 
 
-# Demonstrations
-
-
 def test_narrowed_episodes_are_recorded_and_replay(tmp_path):
     path = tmp_path / "picking.h5"
     parameters = {**SIZES, "randomization": "real"}
@@ -179,9 +166,6 @@ def test_narrowed_episodes_are_recorded_and_replay(tmp_path):
         assert dict(episode.state.sampled)["object_mass"] == 0.6
         assert len(list(replay(recorded, number, other))) == len(episode) + 1
         assert side(other) == 0.7
-
-
-# Coupled objects
 
 
 class CoupledInBowl(BlockInBowl):

@@ -31,9 +31,6 @@ def discounted(rewards):
     return sum(DISCOUNT**step * reward for step, reward in enumerate(rewards))
 
 
-# Functions of users
-
-
 def paid(scene, outcome):
     return 0.25 + 2.0 * outcome["is_success"]
 
@@ -64,9 +61,6 @@ def test_rewards_must_be_finite_numbers():
             make_env(PICKING, reward=path)
 
 
-# Progress
-
-
 @pytest.mark.parametrize("env_id", IDS)
 def test_shaping_subtracts_the_same_potential_from_the_return_of_all_actions(make, env_id):
     """Ng et al. 1999: so the order of policies does not change; at the end the potential is 0."""
@@ -82,8 +76,7 @@ def test_shaping_subtracts_the_same_potential_from_the_return_of_all_actions(mak
 
 
 def test_progress_rewards_the_expert_and_punishes_lost_progress(make):
-    env = make(PICKING, **SENSORS)
-    env.reset(seed=0)
+    env = make(PICKING, **SENSORS, seed=0)
     rewards, _ = rewards_to_the_end(env)
     assert min(rewards) > 0.0 and max(rewards[:-1]) < 1.0
     env.reset(seed=0)

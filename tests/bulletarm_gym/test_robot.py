@@ -26,8 +26,7 @@ def model(request):
 
 
 def at_rest(make, model, fast=True):
-    env = make(PICKING, robot=model.name, fast_mode=fast)
-    env.reset(seed=0)
+    env = make(PICKING, robot=model.name, fast_mode=fast, seed=0)
     env.scene["cube"].place(CORNER)
     return env
 
@@ -46,9 +45,6 @@ def far(first, second):
     """Return the distance (m) or the angle (rad) between two poses, whichever is larger."""
     change = first.inverse().compose(second)
     return max(math.dist(first.position, second.position), math.hypot(*as_rotvec(change.orientation)))
-
-
-# Kinematics
 
 
 def reached(model, heights, control, tilt=0.0):
@@ -89,9 +85,6 @@ def test_joints_depend_on_the_pose_alone(robot):
     np.testing.assert_allclose(turns, np.rint(turns), atol=1e-6)
     with pytest.raises(OutOfReachError, match=robot.model.name):
         robot.move_to(Pose.planar(1.6, 0.0, 0.2))
-
-
-# Motions
 
 
 @pytest.mark.parametrize("fast", [True, False])
@@ -192,9 +185,6 @@ def test_initial_poses_do_not_depend_on_the_arm(make, env_id):
     assert len(starts) == 1
 
 
-# Grasps
-
-
 def grasp(env, seed=3):
     """Let the expert grasp the cube; return the cube's pose in the gripper."""
     env.reset(seed=seed)
@@ -228,9 +218,6 @@ def test_gripper_holds_a_cube_until_it_opens(make, model):
     observation, *_ = step_on(env, [1.0, 0, 0, 0, 0])
     assert robot.held is None and observation["holding"] == [0.0]
     assert env.scene["cube"].pose.z == pytest.approx(0.025, abs=2e-3)
-
-
-# Torques
 
 
 def test_torques_agree_with_the_simulator(armed, robot):

@@ -40,9 +40,6 @@ def name_of(case):
     return "-".join(str(part).rsplit("/")[-1] for part in case)
 
 
-# Seeds
-
-
 def test_another_process_agrees(make, monkeypatch):
     """Mid-grasp and mid-push, with sampled physics, and from a seed."""
     requests = {}
@@ -99,9 +96,6 @@ def test_rendering_and_queries_change_nothing(make, typical_id):
     assert transcript(watched, 8, seed=2, before_step=look) == expected
 
 
-# States
-
-
 @pytest.mark.parametrize("case", CASES, ids=name_of)
 def test_state_is_exact(make, case):
     env_id, moment, parameters = case
@@ -131,9 +125,6 @@ def test_state_of_a_moving_object_is_exact(picking, make):
     assert transcript(other) == expected
 
 
-# Copies
-
-
 @pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
 def test_copies_keep_state_generators_and_seed(copied):
     env = make_env(PICKING, obs_size=16)
@@ -149,9 +140,6 @@ def test_copies_keep_state_generators_and_seed(copied):
     assert digest(*other.reset()) == digest(*env.reset())
 
 
-# Resets to a state
-
-
 def test_seed_of_a_reset_to_a_state_determines_later_episodes(picking):
     later = []
     for state in (advance(picking, SEED, 1), advance(picking, 5, 2)):
@@ -161,9 +149,6 @@ def test_seed_of_a_reset_to_a_state_determines_later_episodes(picking):
     assert later[0] == later[1]
     picking.set_state(state)
     assert picking.np_random_seed == -1  # Gymnasium's value for an unknown seed
-
-
-# States of other environments
 
 
 @pytest.mark.parametrize(
@@ -208,9 +193,6 @@ def test_state_of_changed_object_files_is_rejected(tmp_path):
         changed.set_state(state)
 
 
-# JSON
-
-
 @pytest.mark.parametrize(
     "value",
     [
@@ -248,9 +230,6 @@ def test_loads_rejects_other_types_and_texts_and_imports_nothing():
     for text in ("", "{}", '{"Pose": 1}', '{"Pose": [1, 2, 3]}', '{"dict": [1]}', '{"bytes": 1}'):
         with pytest.raises(ValueError):
             json_state.loads(text)
-
-
-# Memory of tasks
 
 
 @dataclass(frozen=True)

@@ -37,13 +37,9 @@ def lay(env, **places):
     return env
 
 
-# Predicates
-
-
 @pytest.fixture
 def cubes(make):
-    env = make(STACKING, num_objects=3)
-    env.reset(seed=0)
+    env = make(STACKING, num_objects=3, seed=0)
     return env.scene
 
 
@@ -90,9 +86,6 @@ def test_poses_of_one_cube(cubes):
     assert not are.at_rest(cubes)
 
 
-# Success
-
-
 ROOF = {**PAIR, "roof": (0.0, CUBE)}
 UPPER = {"cube_2": (-0.03, 2 * CUBE), "cube_3": (0.03, 2 * CUBE), "roof": (0.0, 3 * CUBE)}
 FOUR_LAYERS = {**PAIR, "brick": (0.0, CUBE), **UPPER}
@@ -122,13 +115,9 @@ def test_success_of_a_house(make, env_id, blocks, expected):
     assert env.task.evaluate(env.scene)["success"] is expected
 
 
-# Starts and the expert
-
-
 @pytest.mark.parametrize("env_id", [HOUSE_2, RAMP])
 def test_a_fallen_roof_ends_the_episode(make, env_id):
-    env = make(env_id)
-    env.reset(seed=0)
+    env = make(env_id, seed=0)
     roof = env.scene["roof"]
     assert env.task.is_valid(env.scene)
     roof.place(roof.pose.compose(euler_pose((0.0, 0.0, 0.0), (math.pi, 0.0, 0.0))))
@@ -150,8 +139,7 @@ def test_a_fallen_roof_ends_the_episode(make, env_id):
 )
 def test_expert_needs_two_steps_a_block(make, env_id, parameters, picks):
     """The first block stays where it is, except on bumps."""
-    env = make(env_id, **parameters)
-    env.reset(seed=1)
+    env = make(env_id, **parameters, seed=1)
     assert finish(env) == (True, 2 * picks)
 
 
@@ -177,9 +165,6 @@ def test_random_blocks_are_placed_without_a_rotation(make):
     for seed in (25, 78, 111):
         env.reset(seed=seed)
         assert finish(env) == (True, 4)
-
-
-# Finished structures, and the planner that takes them apart
 
 
 @pytest.mark.parametrize(

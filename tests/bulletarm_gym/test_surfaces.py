@@ -172,9 +172,6 @@ def test_ramps_keep_clear_of_the_arm(make, robot):
         assert len(plates) == 2 and not any(0 <= point.link < SHOULDER for point in near)
 
 
-# Loaded bodies
-
-
 def test_a_range_of_sizes_keeps_all_sizes_and_shapes_in_few_bodies(make):
     full, env = make(PACKING), make(PACKING, object_scale_range=[0.7, 0.9])
     assert all(len(obj.choices) == len(obj.slot.variants) for obj in full.scene.objects)
@@ -187,12 +184,8 @@ def test_a_range_of_sizes_keeps_all_sizes_and_shapes_in_few_bodies(make):
     assert len(pairs) == len(SHAPES) * len(env.config.scales)
 
 
-# Values that are computed once a pose
-
-
 def test_relations_and_heightmaps_follow_the_poses(make):
-    env = make("BulletArm/OpenLoopBlockStacking-v0")
-    env.reset(seed=0)
+    env = make("BulletArm/OpenLoopBlockStacking-v0", seed=0)
     scene, window = env.scene, Window(env.config.centre, env.config.workspace_size, 64)
     first, second = list(scene)[:2]
     renderer, before = HeightRenderer.of(scene), footprint(first)

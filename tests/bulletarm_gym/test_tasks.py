@@ -82,8 +82,7 @@ def test_objects_start_apart_inside_and_at_rest(make, env_id, mode):
 
 @pytest.mark.parametrize("view", ["orthographic", "point_cloud"])
 def test_goal_of_a_push_is_in_the_image(make, view):
-    env = make(task_id("BlockPushing"), view=view)
-    env.reset(seed=0)
+    env = make(task_id("BlockPushing"), view=view, seed=0)
     scene, heightmaps = env.scene, []
     scene["cube"].place(Pose.planar(0.4, 0.1, 0.025))
     for x in (0.5, 0.4):
@@ -107,8 +106,7 @@ PLACED = [
 
 @pytest.mark.parametrize(("name", "placed", "facts"), PLACED, ids=str)
 def test_success_of_placed_objects(make, name, placed, facts):
-    env = make(task_id(name))
-    env.reset(seed=0)
+    env = make(task_id(name), seed=0)
     for slot, position in placed.items():
         env.scene[slot].place(Pose(position))
     *_, info = env.step(np.array([1.0, 0.0, 0.0, 0.0, 0.0]))
@@ -129,8 +127,7 @@ def test_fixed_orientation_is_along_y(make):
 
 
 def test_cube_grasped_in_the_bowl_is_not_a_success(make):
-    env = make(task_id("BlockInBowl"))
-    env.reset(seed=1)
+    env = make(task_id("BlockInBowl"), seed=1)
     while env.scene.held is None:
         env.step(env.expert_action())
     x, y, _ = env.scene["bowl"].pose.position
@@ -153,8 +150,7 @@ def test_cube_is_next_to_both_walls_of_the_corner(make):
 @pytest.mark.parametrize("robot", ["kuka", "ur5_robotiq"])
 @pytest.mark.parametrize("yaw", [0.0, math.pi / 4.0, math.pi / 2.0])
 def test_straight_pick_fails_in_the_corner(make, robot, yaw):
-    env = make(task_id("CornerPicking"), robot=robot)
-    env.reset(seed=0)
+    env = make(task_id("CornerPicking"), robot=robot, seed=0)
     cube, yaw = env.scene["cube"].pose, env.scene["corner"].pose.yaw + yaw
     follow(env, Waypoint(Pose.planar(cube.x, cube.y, 0.2, yaw), OPEN), 8)
     follow(env, Waypoint(Pose.planar(*cube.position, yaw), OPEN, finish=CLOSED), 6)
@@ -166,17 +162,13 @@ def test_straight_pick_fails_in_the_corner(make, robot, yaw):
 
 
 def test_drawer_is_open_beyond_15_cm(make):
-    env = make(task_id("DrawerOpening"), observation=["heightmap", "state"])
-    env.reset(seed=0)
+    env = make(task_id("DrawerOpening"), observation=["heightmap", "state"], seed=0)
     for opened, success in ((0.14, False), (0.151, True)):
         env.scene["drawer"].set_joints((opened,))
         observation, *_, info = env.step(np.zeros(5))
         assert info["is_success"] is success and info["is_valid"]
         assert env.scene["drawer"].joints[0] == pytest.approx(opened, abs=1e-4)
         assert observation["state"][-1] == pytest.approx(opened, abs=1e-4)
-
-
-# Instructions
 
 
 def test_built_in_tasks_have_several_instructions_of_their_own():
@@ -223,9 +215,6 @@ def test_vector_environments_have_the_attributes_of_lerobots_evaluation():
     assert envs.call("_max_episode_steps") == (9, 9)
     assert envs.call("task_description") == ("Grasp a cube and lift it.",) * 2
     assert hasattr(envs.envs[0], "task_description"), "LeRobot passes an empty task without it"
-
-
-# Mistakes of tasks
 
 
 class BlockShaking(BlockPicking):

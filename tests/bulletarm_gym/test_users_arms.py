@@ -47,9 +47,6 @@ def changed_kuka(change, **changes):
     return replace(KUKA, load=load, **changes)
 
 
-# Kinematics
-
-
 def random_arm(rng):
     """Return a chain of random joints with two fingers, and the names of the arm's joints.
 
@@ -119,9 +116,6 @@ def test_workspace_around_or_behind_the_base_is_refused(robot, base, is_refused)
     if is_refused:
         with pytest.raises(ParameterError, match=rf"workspace.*{robot}.*\({base.x:g}, 0\)"):
             gymnasium.make("BulletArm/CloseLoopBlockReaching-v0", robot=model)
-
-
-# Structure
 
 
 def put(part, path, **attributes):
@@ -236,9 +230,6 @@ def test_meshes_of_a_folder_are_found(tmp_path, monkeypatch):
     obj.unlink()
     with pytest.raises(ValueError, match=r"the mesh '.*base.obj'"):
         read_urdf(file)
-
-
-# Fingers
 
 
 def test_finger_with_a_negative_axis_opens_like_the_other():

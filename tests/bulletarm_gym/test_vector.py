@@ -63,8 +63,6 @@ def test_members_begin_at_states(make, mode):
     apart.close()
 
 
-# Several tasks
-
 CLOSE = [f"BulletArm/CloseLoop{name}-v0" for name in ("BlockPicking", "BlockStacking", "BlockSorting")]
 OPEN = ["BulletArm/OpenLoopBlockStacking-v0", "BulletArm/OpenLoopRampBlockStacking-v0"]
 

@@ -89,9 +89,6 @@ def test_image_must_be_possible():
         ImageObservation(gymnasium.make(CLOSE), 0)
 
 
-# The action space of the expert
-
-
 class Doubled(gymnasium.ActionWrapper):
     """A user's wrapper with an inverse."""
 
@@ -145,8 +142,6 @@ def test_expert_names_the_wrapper_without_an_inverse(name):
         RecordEpisodeStatistics(env).get_wrapper_attr("expert_action")
     assert env.has_wrapper_attr("expert_action")
 
-
-# Goals
 
 TASKS = ("BlockReaching", "BlockPushing", "BlockPulling", "BlockStacking")
 
