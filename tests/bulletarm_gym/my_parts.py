@@ -24,10 +24,6 @@ class Raised(FlatSurface):
     slide = 0.0
 
 
-class Hilly(FlatSurface):
-    sloping = True
-
-
 class Backwards(CloseLoop):
     sequences = ("rzyxp", "zyxp")
 

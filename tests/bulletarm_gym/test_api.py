@@ -208,15 +208,6 @@ def test_spec_has_the_number_of_steps_of_an_episode(first, then, steps):
         assert ends == [(False, False)] * (len(ends) - 1) + [(False, steps <= 60)]
 
 
-def test_measure_adds_up_seconds():
-    env = make_env(PICKING, obs_size=16)
-    env.reset(seed=0)
-    seconds = env.measure()
-    assert set(seconds.values()) == {0.0}
-    finish(env)
-    assert seconds.keys() == {"physics", "rendering"} and min(seconds.values()) > 0.0
-
-
 def test_no_step_after_the_end(picking):
     picking.reset(seed=0)
     finish(picking)

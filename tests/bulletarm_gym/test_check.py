@@ -22,8 +22,6 @@ from bulletarm_gym.simulation.urdf import find_link
 ROOT = Path(__file__).parents[2]
 REACHING = "BulletArm/CloseLoopBlockReaching-v0"
 
-# Machine
-
 
 def test_check_of_the_machine_needs_no_learners(capsys, monkeypatch):
     for name in ("torch", "stable_baselines3", "rl_zoo3", "zoo_configs", "sb3_extensions"):
@@ -167,9 +165,3 @@ def test_small_arm_passes_in_its_workspace(tmp_path, capsys):
 def test_broken_arm_is_recognised(what, model):
     (finding,) = (finding for finding in check_robot(model, WORKSPACE) if finding.what == what)
     assert finding.fails and finding.advice
-
-
-def test_unknown_arm_is_one_line_and_exit_status_2(capsys):
-    assert main(["--robot", "ur10"]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert "ur10" in line and "kuka" in line

@@ -98,14 +98,6 @@ def test_ids_name_control_and_surface(control, prefix):
         del gymnasium.registry[env_id]
 
 
-def test_sloping_surface_has_actions_with_three_rotations():
-    path = "my_parts:Hilly"
-    env = make_env("BulletArm/OpenLoopBlockStacking-v0", surface=path, obs_size=16)
-    assert env.config.action_sequence == "pxyzrrr"
-    with pytest.raises(ValueError, match=rf"^surface must be .*, got '{path}'"):
-        make_env("BulletArm/CloseLoopDrawerOpening-v0", surface=path)
-
-
 LOCAL = type("Local", (FlatSurface,), {"__qualname__": "test.<locals>.Local"})
 
 
@@ -119,7 +111,7 @@ LOCAL = type("Local", (FlatSurface,), {"__qualname__": "test.<locals>.Local"})
         *(("object", name, "my_parts:brick", f"^name must be unused, got '{name}'") for name in KINDS),
         *(("robot", name, "my_parts:arm", f"^name must be unused, got '{name}'") for name in ROBOTS),
         ("control", "open_loop", "my_parts:Backwards", "^name must be unused, got 'open_loop'"),
-        ("surface", "high_ground", "my_parts:Hilly", "^name must be unused, got 'high_ground'"),
+        ("surface", "high_ground", "my_parts:Raised", "^name must be unused, got 'high_ground'"),
     ],
 )
 @pytest.mark.usefixtures("mine")

@@ -17,6 +17,7 @@ from bulletarm_gym.config import (
     TaskDefaults,
 )
 from bulletarm_gym.geometry import PlacementError
+from bulletarm_gym.randomization import Randomization
 
 TASK = TaskDefaults(num_objects=2, max_steps=50, object_scale=0.8, allowed_objects=(2, 3))
 WORKSPACE = [[0.3, 0.6], [-0.15, 0.15], [0.01, 0.25]]
@@ -173,6 +174,7 @@ def test_array_likes_are_kept_as_plain_values():
         ("max_steps", np.int64(9), 9),
         ("fast_mode", np.bool_(False), False),
         ("render_size", np.array([64, 48]), [64, 48]),
+        ("randomization", Randomization(object_mass=(0.5, 2.0)), {"object_mass": [0.5, 2.0]}),
         ("render_camera", {"position": np.ones(3)}, {"position": [1.0, 1.0, 1.0]}),
     ):
         value = getattr(config(**{name: given}), name)

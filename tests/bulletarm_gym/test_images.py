@@ -12,10 +12,8 @@ from rollouts import PICKING, make_env
 
 from bulletarm_gym.geometry import Pose, euler_pose, matrix
 from bulletarm_gym.objects.solids import block
-from bulletarm_gym.observations import Window
 from bulletarm_gym.observations.cameras import side_cameras
 from bulletarm_gym.observations.images import FINGER_COLOUR, GRIPPER
-from bulletarm_gym.observations.rasterizer import project_points
 from bulletarm_gym.simulation import BodySpec, Camera, World
 from bulletarm_gym.simulation.shapes import RED
 from bulletarm_gym.simulation.state import PHYSICS_MODES
@@ -109,16 +107,6 @@ def test_grasped_object_is_visible(scene):
 # The view "point_cloud"
 
 
-def test_highest_point_of_a_pixel_counts_and_a_hole_gets_the_nearest_value():
-    points = np.array([[0.05, 0.05, 0.01], [0.95, 0.95, 0.02]])
-    image = project_points(points, Window((0.5, 0.5), 1.0, 10), ceiling=1.0)
-    assert image[3, 3] == np.float32(0.01) and image[7, 7] == np.float32(0.02)
-    assert not project_points(np.empty((0, 3)), Window((0.0, 0.0), 1.0, 4), ceiling=1.0).any()
-    points = np.array([[0.1, 0.1, 0.02], [0.1, 0.1, 0.05], [0.3, 0.1, 0.01], [0.1, 0.1, 0.5]])
-    image = project_points(points, Window((0.2, 0.2), 0.4, 2), ceiling=0.3)
-    assert image[:, 0].tolist() == [np.float32(0.05), np.float32(0.01)]
-
-
 @pytest.mark.parametrize("name", ["BlockPicking", "BlockPushing"])
 def test_point_cloud_view_agrees_with_the_orthographic_view(make, name):
     """Within a millimetre except at edges, and where the arm hides something from both cameras."""
@@ -140,8 +128,6 @@ TOP = ["heightmap", "color", "segmentation"]
 EXACT = 5e-6
 """Error (m) of a depth that the rasterizer's 32-bit depth buffer explains."""
 
-# Geometry
-
 
 def test_intrinsics_and_extrinsics_give_the_point_of_a_pixel():
     """The camera looks at a large plate, whose upper side is the plane z = 0 of a tilted frame."""
@@ -159,8 +145,6 @@ def test_intrinsics_and_extrinsics_give_the_point_of_a_pixel():
         assert abs((point - pose.position) @ matrix(pose)[:, 2]) < EXACT
         assert camera.project(tuple(point)) == pytest.approx((column, row), abs=1e-4)
 
-
-# Default cameras
 
 WORKSPACES = [
     [[0.3, 0.6], [-0.15, 0.15], [0.01, 0.25]],
@@ -202,9 +186,6 @@ def test_default_cameras_show_the_workspace(workspace, robot):
         assert (pixels > 0).all() and (pixels < 99).all()
 
 
-# Parameters of render()
-
-
 def test_render_size_and_render_camera():
     top = {"position": [0.75, 0.0, 1.2], "target": [0.45, 0.0, 0.0], "fov": 30}
     kwargs = {"render_mode": "rgb_array", "render_size": [96, 64], "render_camera": top}
@@ -224,9 +205,6 @@ def test_depth_array_is_the_depth_of_the_render_camera(make):
     assert second == replace(first, fov=20.0, width=32, height=32)
     narrow.reset(seed=0)
     np.testing.assert_array_equal(narrow.render(), narrow.cameras["render"].depth())
-
-
-# Cameras of sensors
 
 
 @pytest.mark.parametrize("env_id", [PICKING, STACKING])

@@ -112,28 +112,6 @@ def test_inertia_has_the_axes_of_the_pieces(mass):
     assert abs(np.dot(axis, found)) == pytest.approx(1.0, abs=1e-4)
 
 
-def test_parts_do_not_collide_with_their_body_or_with_each_other(mass):
-    def part(name):
-        return Slide(name, (Piece(Box((0.04, 0.04, 0.04))),), 0.1, axis=(1.0, 0.0, 0.0), limits=(-0.1, 0.1))
-
-    spec = BodySpec("body", (Piece(Box((0.05, 0.05, 0.05))),), mass, slides=(part("one"), part("other")))
-    world = World(PHYSICS_MODES["fast"])
-    body = world.add(spec, Pose((0.0, 0.0, 0.5)))
-    world.seal()
-    simulate(world, 5)
-    assert not world.contacts(body, body)
-
-
-def test_parked_parts_do_not_move(boxed):
-    world, body = boxed
-    world.park(body)
-    simulate(world, 10)
-    assert body not in world.loose_bodies
-    world.place(body, Pose((0.0, 0.0, 0.0)))
-    simulate(world, 60)
-    assert world.poses[body.index].z == pytest.approx(0.0, abs=2e-3)
-
-
 @pytest.mark.usefixtures("own_registrations")
 def test_door_of_the_example_repeats_exactly_and_is_rendered():
     parameters = {"control": "close_loop", "obs_size": 16, "observation": ["heightmap", "state"]}

@@ -63,17 +63,6 @@ def test_random_urdfs_of_pybullet(tmp_path):
         load_folder(str(tmp_path / "168"))
 
 
-def test_symbolic_links_are_followed_once(tmp_path):
-    kept, linked = tmp_path / "kept", tmp_path / "linked"
-    (kept / "cups").mkdir(parents=True)
-    linked.mkdir()
-    (kept / "cups" / "cup.obj").write_text(wavefront(graspables()[0].pieces))
-    (linked / "cups").symlink_to(kept / "cups")
-    (linked / "one.obj").symlink_to(kept / "cups" / "cup.obj")
-    (kept / "cups" / "again").symlink_to(kept / "cups")
-    assert [spec.name for spec in load_folder(str(linked))] == ["cups/cup.obj", "one.obj"]
-
-
 @pytest.mark.parametrize("name", ["a.obj", "A.STL", "ascii.stl", "A.URDF"])
 def test_formats_are_read_in_any_case(tmp_path, name):
     contents = {
@@ -139,8 +128,7 @@ def test_values_of_a_urdf_are_used(tmp_path):
     assert sum(spec.mass_properties[1]) == pytest.approx(1.2 / 6.0 * sum(side**2 for side in SIZE))
 
 
-def coloured(rgba):
-    return f'<visual>{BOX}<material name="paint"><color rgba="{rgba}"/></material></visual>'
+COLOURED = f'<visual>{BOX}<material name="paint"><color rgba="255 0 0 255"/></material></visual>'
 
 
 @pytest.mark.parametrize(
@@ -154,11 +142,9 @@ def coloured(rgba):
         ("a.urdf", "<robot><link/><link/></robot>", "2 links"),
         ("a.urdf", "<robot><link/></robot>", "no collision"),
         ("a.urdf", '<inertial><mass value="0"/></inertial>', "mass must be .* got 0"),
-        ("a.urdf", '<inertial><mass value="150"/></inertial>', "mass must be .* got 150"),
         ("a.urdf", '<contact><lateral_friction value="-1"/></contact>', "friction of .* got -1"),
         ("a.urdf", "<inertial><mass/></inertial>", "value of <mass> .* got ''"),
-        ("a.urdf", coloured("1 0 0"), "rgba of <color> .* got '1 0 0'"),
-        ("a.urdf", coloured("255 0 0 255"), "rgba of <color> .* got '255 0 0 255'"),
+        ("a.urdf", COLOURED, "rgba of <color> .* got '255 0 0 255'"),
         ("a.urdf", "<collision><geometry><capsule/></geometry></collision>", "got capsule"),
         ("a.txt", "", "no .obj, no .stl and no .urdf"),
     ],
@@ -179,14 +165,9 @@ def test_files_and_elements_without_effect_are_named_in_one_warning(tmp_path):
     (tmp_path / "meshes" / "used.obj").write_text(wavefront([Piece(Box(SIZE))]))
     shape = '<geometry><mesh filename="meshes/used.obj"/></geometry>'
     write_link(tmp_path / "a.urdf", contact + visual, shape=shape)
-    for name, text in {
-        "loose.obj": "",
-        "b.dae": "",
-        "C.PLY": "",
-        "readme.md": "",
-        "a.mtl": "map_Kd image.png",
-    }.items():
-        (tmp_path / name).write_text(text)
+    for name in ("loose.obj", "b.dae", "C.PLY", "readme.md"):
+        (tmp_path / name).touch()
+    (tmp_path / "a.mtl").write_text("map_Kd image.png")
     with pytest.warns(UserWarning) as caught:
         assert [spec.name for spec in load_folder(str(tmp_path))] == ["a.urdf"]
     (warning,) = caught
@@ -224,23 +205,15 @@ def test_stl_meshes_of_robots_keep_their_collision_shape(tmp_path, mesh, content
     assert simulated_size(path) == pytest.approx(SIZE, abs=0.01)
 
 
-def test_collada_meshes_of_robots_are_read(tmp_path):
-    cone = Path(pybullet_data.getDataPath()) / "racecar" / "meshes" / "cone.dae"
-    assert min(simulated_size(write_model(tmp_path, "a.dae", cone.read_bytes()))) > 0.1
-
-
 @pytest.mark.parametrize(
     ("mesh", "content", "reason"),
     [
         ("a.obj", b"", "no faces"),
         ("a.obj", f"{OBJ}f 1 2 300000000\n".encode(), "names vertex 300000000 of 4"),
         ("a.obj", f"{OBJ.replace('1', 'nan')}f 1 2 3\n".encode(), "not finite"),
-        ("a.obj", b"v 1 2\nf 1 1 1\n", "a.obj"),
         ("a.stl", b"\0" * 10, "length"),
         ("a.stl", binary_stl()[:-7], "a.stl"),
-        ("a.stl", binary_stl(b"")[:-7], "length"),
         ("a.stl", ascii_stl()[:-100], "not triangles"),
-        ("a.dae", b"<COLLADA", "a.dae"),
         ("a.dae", b"<COLLADA/>", "no <triangles>"),
         ("a.dae", NAN_COLLADA, "not finite"),
         ("a.ply", b"ply\n", "OBJ or STL, got '.ply'"),
@@ -262,17 +235,10 @@ def test_mesh_that_bullet_cannot_read_is_refused(tmp_path, mesh, content, reason
         ("<robot", "not XML"),
         ('<mujoco model="arm"/>', "root element is <mujoco>"),
         ('<robot xmlns:xacro="http://ros.org/wiki/xacro"><xacro:arm/></robot>', "a xacro file"),
-        ('<robot><joint><origin quat_xyzw="0 0 0 1"/></joint></robot>', "quat_xyzw of URDF 1.1"),
     ],
 )
 def test_other_formats_than_urdf_are_named(tmp_path, text, reason):
-    (tmp_path / "arm.urdf").write_text(text)
-    with pytest.raises(ValueError, match=reason) as error:
-        read_urdf(tmp_path / "arm.urdf")
-    assert str(tmp_path / "arm.urdf") in str(error.value)
-
-
-def test_model_that_bullet_refuses_is_named():
-    client = Client()
-    with pytest.raises(ValueError, match="'lost'"):
-        load_urdf(client, "lost", "<robot/>", Pose((0.0, 0.0, 0.0)))
+    path = tmp_path / "arm.urdf"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=f"{path}.*{reason}|{reason}.*{path}"):
+        read_urdf(path)

@@ -11,7 +11,6 @@ import pytest
 from rollouts import PICKING, finish, make_env, transcript
 
 from bulletarm_gym.config import LIFT_HEIGHT
-from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.geometry import PlacementError, Pose
 from bulletarm_gym.objects.containers import PALLET
 from bulletarm_gym.scene.predicates import inside, loose_objects
@@ -47,16 +46,6 @@ def test_blocks_are_packed_below_the_rim(make):
     for local in ((0.08, 0.06, 0.079), *outside):
         place(env, "bin", block_0=Pose(local))
         assert env.task.evaluate(env.scene)["is_packed"] is (local not in outside)
-
-
-def test_expert_packs_eight_of_the_largest_blocks(make):
-    env = make(PACKING, seed=3)
-    for item in env.scene.objects[1:]:
-        pose = item.pose
-        item.park()
-        item.variant = 5
-        item.place(Pose.planar(pose.x, pose.y, item.spec.extents[2] / 2.0, pose.yaw))
-    assert finish(env)[0]
 
 
 def test_bottles_are_upright_in_the_tray(make):
@@ -130,19 +119,6 @@ def test_episode_ends_if_the_next_box_has_no_free_pose(pallet):
         _, reward, terminated, _, info = pallet.step(np.ones(pallet.action_space.shape, np.float32))
     assert (reward, terminated, info["is_valid"]) == (0.0, True, False)
     assert pallet.reset(seed=0)[1]["is_valid"]
-
-
-def test_expert_corrects_a_misplaced_box(make):
-    env = make(PALLETIZING, max_steps=100, num_objects=6, seed=2)
-    for _ in range(5):
-        env.step(env.expert_action())
-    tool = env.scene.robot.pose
-    askew = env.scene["pallet"].pose.compose(Pose.planar(0.0, 0.0, 0.0, 0.8))
-    waypoint = Waypoint(Pose.planar(askew.x, askew.y, tool.z, askew.yaw), CLOSED, OPEN)
-    env.step(env.encode_action(env.tracker.towards(waypoint)))
-    assert len(loose_objects(env.scene)) == 3
-    solved, steps = finish(env)
-    assert solved and steps <= 10
 
 
 # Covid tests

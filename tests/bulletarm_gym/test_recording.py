@@ -138,17 +138,6 @@ def test_attempts_count_failed_and_abandoned_episodes(path):
     assert (len(load(path)), load(path).attempts) == (1, 5)
 
 
-def test_long_files_are_written_less_often(path, monkeypatch):
-    monkeypatch.setattr("bulletarm_gym.demonstrations.collecting.EPISODES_PER_WRITE", 1.0)
-    env, saved = record(path), []
-    for seed in range(5):
-        play(env, seed)
-        saved.append(len(load(path)))
-    assert saved == [1, 2, 2, 4, 4] and len(env) == 5
-    env.close()
-    assert seeds(path) == list(range(5)) and load(path).attempts == 5
-
-
 def test_recorders_of_a_vector_environment_keep_all_episodes(path):
     envs = AsyncVectorEnv([partial(record, path)] * 2)
     envs.reset(seed=0)

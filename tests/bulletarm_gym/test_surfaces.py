@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 
 from bulletarm_gym.geometry import Footprint, PlacementError, Pose
-from bulletarm_gym.objects.blocks import SHAPES
 from bulletarm_gym.observations import HeightRenderer, Window
 from bulletarm_gym.scene.predicates import on_site, on_surface, touching
 from bulletarm_gym.scene.sampling import footprint, free_site, place_apart
-from bulletarm_gym.scene.scene import MAX_BODIES
 from bulletarm_gym.simulation import World
 from bulletarm_gym.simulation.state import PHYSICS_MODES
 from bulletarm_gym.surfaces import SURFACES, RampSurface
@@ -170,18 +168,6 @@ def test_ramps_keep_clear_of_the_arm(make, robot):
         near = [point for one in plates for point in scene.world.closest_points(scene.robot.body, one, 0.02)]
         # The base is as fixed as the plates.
         assert len(plates) == 2 and not any(0 <= point.link < SHOULDER for point in near)
-
-
-def test_a_range_of_sizes_keeps_all_sizes_and_shapes_in_few_bodies(make):
-    full, env = make(PACKING), make(PACKING, object_scale_range=[0.7, 0.9])
-    assert all(len(obj.choices) == len(obj.slot.variants) for obj in full.scene.objects)
-    assert len(env.scene.world.bodies) <= MAX_BODIES + 2  # with ground and arm
-    pairs = set()
-    for obj in env.scene.objects[1:]:
-        own = {tuple(obj.slot.variants[place].name.split()[-2:]) for place in obj.choices}
-        assert len({shape for shape, _ in own}) == len(SHAPES) and len({scale for _, scale in own}) >= 7
-        pairs |= own
-    assert len(pairs) == len(SHAPES) * len(env.config.scales)
 
 
 def test_relations_and_heightmaps_follow_the_poses(make):
