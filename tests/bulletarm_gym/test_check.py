@@ -83,20 +83,17 @@ def test_expert_below_the_minimum_success_rate_fails(capsys):
     assert out.count("FAILED") == 1 and "0 of 1 episodes" in out and REACHING in err
 
 
-@pytest.mark.parametrize(
-    ("arguments", "word"),
-    [
+def test_invalid_argument_is_rejected_before_the_checks(capsys):
+    for arguments, word in (
         ([REACHING, "--env-kwargs", "obs_size:-1"], "obs_size"),
         ([REACHING, "--robot", "kuka"], "--robot"),
         (["--image", "arm.png"], "--image"),
         (["--robot", "kuka", "--image", "missing/arm.png"], "missing/arm.png"),
-    ],
-)
-def test_invalid_argument_is_rejected_before_the_checks(arguments, word, capsys):
-    with pytest.raises(SystemExit, match="2"):
-        main(arguments)
-    out, err = capsys.readouterr()
-    assert not out and word in err.splitlines()[-1]
+    ):
+        with pytest.raises(SystemExit, match="2"):
+            main(arguments)
+        out, err = capsys.readouterr()
+        assert not out and word in err.splitlines()[-1]
 
 
 @pytest.mark.usefixtures("own_registrations")

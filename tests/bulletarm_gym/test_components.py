@@ -101,9 +101,9 @@ def test_ids_name_control_and_surface(control, prefix):
 LOCAL = type("Local", (FlatSurface,), {"__qualname__": "test.<locals>.Local"})
 
 
-@pytest.mark.parametrize(
-    ("kind", "name", "component", "reason"),
-    [
+@pytest.mark.usefixtures("mine")
+def test_registration_is_refused():
+    for kind, name, component, reason in (
         ("surface", "mine", LOCAL, "local to a function"),
         ("sensor", "other", lambda scene: None, "lambda"),
         ("sensor", "other", "my_parts:Missing", "cannot be imported"),
@@ -112,12 +112,9 @@ LOCAL = type("Local", (FlatSurface,), {"__qualname__": "test.<locals>.Local"})
         *(("robot", name, "my_parts:arm", f"^name must be unused, got '{name}'") for name in ROBOTS),
         ("control", "open_loop", "my_parts:Backwards", "^name must be unused, got 'open_loop'"),
         ("surface", "high_ground", "my_parts:Raised", "^name must be unused, got 'high_ground'"),
-    ],
-)
-@pytest.mark.usefixtures("mine")
-def test_registration_is_refused(kind, name, component, reason):
-    with pytest.raises(ValueError, match=reason):
-        getattr(bulletarm_gym, f"register_{kind}")(name, component)
+    ):
+        with pytest.raises(ValueError, match=reason):
+            getattr(bulletarm_gym, f"register_{kind}")(name, component)
 
 
 def test_task_needs_a_registered_control_and_surface():

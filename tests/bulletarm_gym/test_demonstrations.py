@@ -15,13 +15,7 @@ import numpy as np
 import pytest
 from rollouts import PICKING, idle
 
-from bulletarm_gym.demonstrations import (
-    Demonstrations,
-    ReplayError,
-    collect,
-    load,
-    replay,
-)
+from bulletarm_gym.demonstrations import Demonstrations, ReplayError, collect, load, replay
 from bulletarm_gym.demonstrations.episodes import HEIGHTS, atomic_path
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.simulation.shapes import Box, Piece, wavefront
@@ -108,9 +102,8 @@ def test_noise_changes_actions(picked):
         assert list(replay(noisy, 0, env))
 
 
-@pytest.mark.parametrize(
-    ("arguments", "options", "message"),
-    [
+def test_collect_rejects_other_arguments():
+    for arguments, options, message in (
         ((PICKING, 0), {}, "^episodes must be .*, got 0"),
         ((PICKING, 1, "magic"), {}, "^planner must be .*, got 'magic'"),
         ((PICKING, 1, "deconstruction"), {}, "^planner must be .*close-loop"),
@@ -124,11 +117,9 @@ def test_noise_changes_actions(picked):
         ((PICKING, 1), {"env_kwargs": {"reward": lambda s, o: 0.0}}, "^env_kwargs must .*reward=<function"),
         ((PICKING, 1), {"noise": -0.1}, "^noise must be .*, got -0.1"),
         ((PICKING, 1), {"path": "/"}, "^path must be a file such as .*, got the folder /"),
-    ],
-)
-def test_collect_rejects_other_arguments(arguments, options, message):
-    with pytest.raises(ValueError, match=message):
-        collect(*arguments, **options)
+    ):
+        with pytest.raises(ValueError, match=message):
+            collect(*arguments, **options)
 
 
 def test_files_and_slices_keep_everything(basket, tmp_path):

@@ -11,15 +11,8 @@ import numpy as np
 import pytest
 from rollouts import PICKING
 
-from bulletarm_gym.demonstrations import (
-    collect,
-    export_lerobot,
-    export_minari,
-    export_rlds,
-    export_robomimic,
-    exports,
-    rlds,
-)
+from bulletarm_gym.demonstrations import collect, export_lerobot, export_minari, export_rlds, exports, rlds
+from bulletarm_gym.demonstrations.robomimic import export_robomimic
 
 DRAWER = "BulletArm/CloseLoopDrawerOpening-v0"
 RAMP = "BulletArm/OpenLoopRampBlockStacking-v0"

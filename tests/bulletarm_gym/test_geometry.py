@@ -7,19 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bulletarm_gym.geometry import (
-    Mesh,
-    Pose,
-    as_rotvec,
-    euler_angles,
-    from_rotvec,
-    join,
-    matrix,
-    multiply,
-    quaternion,
-    rotate,
-    wrap_angle,
-)
+from bulletarm_gym.geometry import Mesh, Pose, join, matrix, multiply, quaternion, rotate, wrap_angle
+from bulletarm_gym.geometry.poses import as_rotvec, euler_angles, from_rotvec
 from bulletarm_gym.observations.rasterizer import Window, ZBuffer
 
 EXTENT, SIZE = 0.45, 128

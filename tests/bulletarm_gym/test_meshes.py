@@ -229,16 +229,13 @@ def test_mesh_that_bullet_cannot_read_is_refused(tmp_path, mesh, content, reason
     assert str(tmp_path / mesh) in str(error.value) and reason in str(error.value)
 
 
-@pytest.mark.parametrize(
-    ("text", "reason"),
-    [
+def test_other_formats_than_urdf_are_named(tmp_path):
+    for text, reason in (
         ("<robot", "not XML"),
         ('<mujoco model="arm"/>', "root element is <mujoco>"),
         ('<robot xmlns:xacro="http://ros.org/wiki/xacro"><xacro:arm/></robot>', "a xacro file"),
-    ],
-)
-def test_other_formats_than_urdf_are_named(tmp_path, text, reason):
-    path = tmp_path / "arm.urdf"
-    path.write_text(text)
-    with pytest.raises(ValueError, match=f"{path}.*{reason}|{reason}.*{path}"):
-        read_urdf(path)
+    ):
+        path = tmp_path / "arm.urdf"
+        path.write_text(text)
+        with pytest.raises(ValueError, match=f"{path}.*{reason}|{reason}.*{path}"):
+            read_urdf(path)

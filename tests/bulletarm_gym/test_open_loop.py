@@ -8,19 +8,12 @@ import pytest
 from rollouts import digest
 from scipy.spatial.transform import Rotation
 
+from bulletarm_gym import real_arm
 from bulletarm_gym.config import Context, EnvConfig
 from bulletarm_gym.control import PickPlace
 from bulletarm_gym.geometry import Pose, euler_angles, matrix, wrap_angle
 from bulletarm_gym.observations import ElevationMap
 from bulletarm_gym.observations.cameras import SIDE_PIXELS, side_cameras
-from bulletarm_gym.real_arm import (
-    close_loop_heightmap,
-    in_hand_image,
-    measure_grasp,
-    open_loop_heightmap,
-    pick_height,
-    place_height,
-)
 
 STACKING = "BulletArm/OpenLoopBlockStacking-v0"
 CUBE = 0.03
@@ -252,7 +245,7 @@ def test_close_loop_heightmap_equals_the_point_cloud_view(make):
     observation, _ = env.reset(seed=1)
     for _ in range(5):
         points, robot = cloud(env, shows_grasped=True), env.scene.robot
-        image = close_loop_heightmap(points, robot.pose, robot.opening, workspace, 32)
+        image = real_arm.close_loop_heightmap(points, robot.pose, robot.opening, workspace, 32)
         assert (image == observation["heightmap"]).all() and image.dtype == np.float32
         observation, *_ = env.step(env.expert_action())
     assert env.scene.held is not None
@@ -262,7 +255,9 @@ def test_open_loop_heightmap_differs_from_the_orthographic_view_at_edges_only(ma
     env = make("BulletArm/OpenLoopBlockStacking-v0", seed=0)
     for _ in range(3):
         observation, *_ = env.step(env.expert_action())
-        difference = np.abs(open_loop_heightmap(cloud(env, shows_grasped=False)) - observation["heightmap"])
+        difference = np.abs(
+            real_arm.open_loop_heightmap(cloud(env, shows_grasped=False)) - observation["heightmap"]
+        )
         assert np.median(difference) < 1e-5 and (difference > 1e-3).mean() < 0.03
 
 
@@ -273,7 +268,7 @@ def test_in_hand_image_equals_that_of_the_environment(name, make):
     action = env.expert_action()
     move = env.decode_action(action)
     after, *_ = env.step(action)
-    image = in_hand_image(before["heightmap"], move.pose, tilts=name.startswith("Ramp"))
+    image = real_arm.in_hand_image(before["heightmap"], move.pose, tilts=name.startswith("Ramp"))
     assert image.any() and (image == after["in_hand"]).all()
 
 
@@ -285,14 +280,14 @@ def test_heights_of_picks_and_places_equal_those_of_the_environment(make):
     for _ in range(2):
         action = env.expert_action()
         tool = env.control.executed(env.decode_action(action))
-        height = pick_height(before["heightmap"], tool, params.pick_offset, workspace=workspace)
+        height = real_arm.pick_height(before["heightmap"], tool, params.pick_offset, workspace=workspace)
         assert height == pytest.approx(tool.z)
         after, *_ = env.step(action)
-        grasp = measure_grasp(before["heightmap"], after["heightmap"], tool, workspace)
+        grasp = real_arm.measure_grasp(before["heightmap"], after["heightmap"], tool, workspace)
         assert grasp is not None and tuple(grasp) == pytest.approx(env.control.memory, abs=1e-4)
         action = env.expert_action()
         tool = env.control.executed(env.decode_action(action))
-        height = place_height(after["heightmap"], tool, grasp, params.place_offset, workspace)
+        height = real_arm.place_height(after["heightmap"], tool, grasp, params.place_offset, workspace)
         assert height == pytest.approx(tool.z, abs=1e-4)
         before, *_ = env.step(action)
 
@@ -300,8 +295,8 @@ def test_heights_of_picks_and_places_equal_those_of_the_environment(make):
 def test_points_must_be_world_coordinates_in_the_square():
     for points, words in (([0.4, 0.0, 0.0], r"\(3,\)"), ([[450.0, 0.0, 0.0]], r"0\.45 m")):
         with pytest.raises(ValueError, match=f"points .*{words}"):
-            close_loop_heightmap(points, Pose((0.45, 0.0, 0.2)), 0.05)
+            real_arm.close_loop_heightmap(points, Pose((0.45, 0.0, 0.2)), 0.05)
     with pytest.raises(ValueError, match=r"points .*0\.4 m"):
-        open_loop_heightmap([[np.nan, 0.0, 0.0]])
+        real_arm.open_loop_heightmap([[np.nan, 0.0, 0.0]])
     known, unknown = [[0.45, 0.0, 0.03], [0.5, 0.1, 0.0]], [[np.nan] * 3, [0.45, 0.0, np.inf]]
-    assert (open_loop_heightmap(known + unknown) == open_loop_heightmap(known)).all()
+    assert (real_arm.open_loop_heightmap(known + unknown) == real_arm.open_loop_heightmap(known)).all()

@@ -58,22 +58,19 @@ def test_successful_episodes_are_recorded(play, capsys):
     assert "env_id" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("arguments", "word"),
-    [
+def test_invalid_argument_is_rejected(play, tmp_path, capsys):
+    for arguments, word in (
         (["CartPole-v1"], "CartPole-v1"),
         (["BulletArm/CloseLoopBlockPiking-v0"], "CloseLoopBlockPicking"),
         ([PICKING, "--env-kwargs", "obs_size"], "KEY:VALUE"),
         ([PICKING, "--env-kwargs", "robot:octopus"], "octopus"),
         ([PICKING, "--gym-packages", "missing_module"], "missing_module"),
         ([PICKING, "-n", "0"], "--episodes"),
-    ],
-)
-def test_invalid_argument_is_rejected(play, tmp_path, arguments, word, capsys):
-    with pytest.raises(SystemExit, match="2"):
-        play("", *arguments)
-    assert word in capsys.readouterr().err.splitlines()[-1]
-    assert not list(tmp_path.iterdir())
+    ):
+        with pytest.raises(SystemExit, match="2"):
+            play("", *arguments)
+        assert word in capsys.readouterr().err.splitlines()[-1]
+        assert not list(tmp_path.iterdir())
 
 
 def test_open_loop_keys_move_a_target(make):

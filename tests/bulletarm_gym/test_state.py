@@ -186,17 +186,13 @@ def test_state_of_changed_object_files_is_rejected(tmp_path):
         changed.set_state(state)
 
 
-@pytest.mark.parametrize(
-    "value",
-    [
+def test_json_keeps_values_and_types():
+    for value in (
         *(None, True, -3, 2**80, 0.1 + 0.2, math.inf, "text", b"\x00\xff", (), (1, (2.5, "a")), [1, [2]]),
         *({"a": (1,), 2: b"x"}, (Pose.planar(1.0, 2.0, 3.0, 0.4), [None])),
-    ],
-    ids=repr,
-)
-def test_json_keeps_values_and_types(value):
-    back = json_state.loads(json_state.dumps(value))
-    assert back == value and type(back) is type(value)
+    ):
+        back = json_state.loads(json_state.dumps(value))
+        assert back == value and type(back) is type(value)
 
 
 def test_numpy_scalars_become_numbers():

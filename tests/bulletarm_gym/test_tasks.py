@@ -221,9 +221,8 @@ class BlockShaking(BlockPicking):
     instructions = ()
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "message"),
-    [
+def test_mistake_of_a_task_is_named():
+    for name, value, message in (
         *(
             ("instructions", value, r"^instructions of BlockShaking must be .*, got ")
             for value in ("Lift it.", ("Lift {what}.",), (3,))
@@ -236,10 +235,8 @@ class BlockShaking(BlockPicking):
             for value in (None, {"is_success": True}, {"success": True, "ignored": False})
         ),
         ("plan", lambda task, scene, rng: None, r"plan\(\) .* got none"),
-    ],
-)
-def test_mistake_of_a_task_is_named(name, value, message):
-    with patch.object(BlockShaking, name, value), pytest.raises(ValueError, match=message):
-        env = make_env(PICKING, task=f"{__name__}:BlockShaking", obs_size=16)
-        env.reset(seed=0)
-        env.expert_action()
+    ):
+        with patch.object(BlockShaking, name, value), pytest.raises(ValueError, match=message):
+            env = make_env(PICKING, task=f"{__name__}:BlockShaking", obs_size=16)
+            env.reset(seed=0)
+            env.expert_action()

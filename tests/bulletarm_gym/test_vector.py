@@ -18,8 +18,7 @@ ENV_ID = "BulletArm/CloseLoopBlockPicking-v0"
 
 
 @pytest.mark.parametrize(
-    ("make", "env_id"),
-    [(DummyVecEnv, TYPICAL[0]), (partial(SubprocVecEnv, start_method="fork"), ENV_ID)],
+    ("make", "env_id"), [(DummyVecEnv, TYPICAL[0]), (partial(SubprocVecEnv, start_method="fork"), ENV_ID)]
 )
 def test_experts_of_stable_baselines3_members_solve_the_task(make, env_id):
     vec_env = make([partial(gymnasium.make, f"bulletarm_gym:{env_id}", obs_size=32)] * 2)
@@ -134,17 +133,14 @@ def test_a_member_passes_the_checks_and_is_made_again_from_its_spec():
     np.testing.assert_equal(again.reset(seed=2)[0], env.reset(seed=2)[0])
 
 
-@pytest.mark.parametrize(
-    ("ids", "kwargs", "message"),
-    [
+def test_ids_without_common_spaces_are_rejected():
+    for ids, kwargs, message in (
         ([], {}, r"ids must be a list of at least one id, got \[\]"),
         (ENV_ID, {}, "ids must be a list of at least one id, got 'BulletArm"),
         ([CLOSE[0], OPEN[0]], {}, "ids must all have one kind of control, got close_loop, open_loop"),
         (OPEN, {}, r"ids must observe 'in_hand' with one type and shape, got .*\(1, 24, 24\)"),
         (CLOSE[:1], {"envs_per_task": 0}, "envs_per_task .*, got 0"),
         (CLOSE[:1], {"observation": [{"name": "task_id", "sensor": "holding"}]}, "names than 'task_id'"),
-    ],
-)
-def test_ids_without_common_spaces_are_rejected(ids, kwargs, message):
-    with pytest.raises(ValueError, match=message):
-        make_multi_task_vec(ids, **kwargs)
+    ):
+        with pytest.raises(ValueError, match=message):
+            make_multi_task_vec(ids, **kwargs)

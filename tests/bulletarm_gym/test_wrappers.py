@@ -9,17 +9,8 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium import spaces
+from gymnasium import spaces, wrappers
 from gymnasium.utils.env_checker import check_env as check_gymnasium
-from gymnasium.wrappers import (
-    ClipAction,
-    DiscretizeAction,
-    FrameStackObservation,
-    RecordEpisodeStatistics,
-    RescaleAction,
-    StickyAction,
-    TransformAction,
-)
 from stable_baselines3.common.env_checker import check_env as check_sb3
 
 import bulletarm_gym  # noqa: F401
@@ -67,7 +58,7 @@ def test_image_of_an_environment(env_id):
     inner = env.unwrapped
     heightmap = inner.observe()["heightmap"][0]
     assert np.abs(image[env.channels.index("heightmap")] / 255 - heightmap / 0.4).max() < 1.01 * HALF_A_COUNT
-    assert FrameStackObservation(env, 2).reset(seed=0)[0].shape == (2, *image.shape)
+    assert wrappers.FrameStackObservation(env, 2).reset(seed=0)[0].shape == (2, *image.shape)
 
 
 def test_resizing_keeps_means_and_positions():
@@ -99,25 +90,29 @@ class Doubled(gymnasium.ActionWrapper):
         return action / 2.0
 
 
-rescale = partial(RescaleAction, min_action=np.float32(-3.0), max_action=np.float32(1.0))
-negate = partial(TransformAction, func=np.negative, action_space=None)
+rescale = partial(wrappers.RescaleAction, min_action=np.float32(-3.0), max_action=np.float32(1.0))
+negate = partial(wrappers.TransformAction, func=np.negative, action_space=None)
 INVERTIBLE = {
-    "none": [RecordEpisodeStatistics],
-    "rescaled twice": [rescale, RecordEpisodeStatistics, partial(rescale, max_action=np.float32(5.0))],
-    "clipped": [ClipAction],
+    "none": [wrappers.RecordEpisodeStatistics],
+    "rescaled twice": [
+        rescale,
+        wrappers.RecordEpisodeStatistics,
+        partial(rescale, max_action=np.float32(5.0)),
+    ],
+    "clipped": [wrappers.ClipAction],
     "own": [Doubled, rescale],
 }
 OTHERS = {
     "TransformAction": [negate],
-    "StickyAction": [partial(StickyAction, repeat_action_probability=0.5)],
-    "DiscretizeAction": [rescale, partial(DiscretizeAction, bins=3)],
+    "StickyAction": [partial(wrappers.StickyAction, repeat_action_probability=0.5)],
+    "DiscretizeAction": [rescale, partial(wrappers.DiscretizeAction, bins=3)],
 }
 
 
-def wrapped(*wrappers):
+def wrapped(*layers):
     env = gymnasium.make(CLOSE, obs_size=16)
-    for wrapper in wrappers:
-        env = wrapper(env)
+    for layer in layers:
+        env = layer(env)
     return env
 
 
@@ -139,7 +134,7 @@ def test_expert_acts_in_the_outermost_action_space(name, monkeypatch):
 def test_expert_names_the_wrapper_without_an_inverse(name):
     env = wrapped(*OTHERS[name])
     with pytest.raises(ValueError, match=rf"expert_action .*, got {name}\."):
-        RecordEpisodeStatistics(env).get_wrapper_attr("expert_action")
+        wrappers.RecordEpisodeStatistics(env).get_wrapper_attr("expert_action")
     assert env.has_wrapper_attr("expert_action")
 
 
