@@ -185,27 +185,23 @@ def test_spec_keeps_the_parameters_as_json():
     assert gymnasium.spec(env_id).to_json() == registered
 
 
-@pytest.mark.parametrize(
-    ("first", "then", "steps"),
-    [
+def test_spec_has_the_number_of_steps_of_an_episode():
+    """Made with some parameters, and again from its spec with others."""
+    for first, then, steps in (
         ({}, {}, 50),
         ({"max_steps": 7, "max_episode_steps": 60}, {}, 60),
         ({}, {"max_steps": 6}, 6),
         ({"max_steps": 60}, {"max_episode_steps": 7}, 7),
         ({"max_episode_steps": -1}, {}, UNLIMITED),
-    ],
-    ids=str,
-)
-def test_spec_has_the_number_of_steps_of_an_episode(first, then, steps):
-    """Made with some parameters, and again from its spec with others."""
-    made = gymnasium.make(PICKING, obs_size=16, **first)
-    again = gymnasium.make(EnvSpec.from_json(made.spec.to_json()), **then)
-    for env in (again, pickle.loads(pickle.dumps(again))):
-        limits = {env.spec.max_episode_steps, env.unwrapped.spec.max_episode_steps}
-        assert limits == {TimeAwareObservation(env).max_timesteps} == {steps}
-        env.reset(seed=0)
-        ends = [env.step(idle(env.unwrapped))[2:4] for _ in range(min(steps, 60))]
-        assert ends == [(False, False)] * (len(ends) - 1) + [(False, steps <= 60)]
+    ):
+        made = gymnasium.make(PICKING, obs_size=16, **first)
+        again = gymnasium.make(EnvSpec.from_json(made.spec.to_json()), **then)
+        for env in (again, pickle.loads(pickle.dumps(again))):
+            limits = {env.spec.max_episode_steps, env.unwrapped.spec.max_episode_steps}
+            assert limits == {TimeAwareObservation(env).max_timesteps} == {steps}
+            env.reset(seed=0)
+            ends = [env.step(idle(env.unwrapped))[2:4] for _ in range(min(steps, 60))]
+            assert ends == [(False, False)] * (len(ends) - 1) + [(False, steps <= 60)]
 
 
 def test_no_step_after_the_end(picking):

@@ -43,21 +43,17 @@ SMALLEST = {"workspace": [[0.4, 0.44], [-0.02, 0.02], [0.005, 0.12]], "object_sc
 """The smallest workspace, and a cube of 1.5 cm."""
 
 
-@pytest.mark.parametrize(
-    ("task", "parameters"),
-    [
+def test_expert_solves_tasks_in_a_small_workspace():
+    for task, parameters in (
         ("CloseLoopBlockPicking", {**SMALLEST, "home_height": 0.1, "lift_height": 0.08}),
         ("OpenLoopBlockStacking", {"robot": SMALL, **PARAMETERS, "num_objects": 2}),
-    ],
-    ids=["closed loop", "small arm"],
-)
-def test_expert_solves_tasks_in_a_small_workspace(task, parameters):
-    env, solved = make_env(f"BulletArm/{task}-v0", **parameters), 0
-    for seed in range(5):
-        env.reset(seed=seed)
-        assert env.scene.robot.pose.z == pytest.approx(env.config.home_height, abs=1e-3)
-        solved += finish(env)[0]
-    assert solved >= 4
+    ):
+        env, solved = make_env(f"BulletArm/{task}-v0", **parameters), 0
+        for seed in range(5):
+            env.reset(seed=seed)
+            assert env.scene.robot.pose.z == pytest.approx(env.config.home_height, abs=1e-3)
+            solved += finish(env)[0]
+        assert solved >= 4
 
 
 def test_expert_recovers_from_random_actions(make, typical_id):

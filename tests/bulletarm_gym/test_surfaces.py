@@ -146,17 +146,14 @@ def test_surface_that_does_not_fit_the_task_is_refused():
         gymnasium.make("BulletArm/CloseLoopBlockPicking-v0", surface="ramp", close_loop_tray=True)
 
 
-@pytest.mark.parametrize(
-    ("name", "parameters", "seeds"),
-    [
+def test_scenes_with_little_space_are_valid(make):
+    for name, parameters, seeds in (
         ("CloseLoopBlockInBowl", {"surface": "bump"}, range(8)),  # without space the surface is sampled again
         ("OpenLoopBumpBoxPalletizing", {"random_orientation": False}, (295, 341, 404)),
         ("OpenLoopBumpHouseBuilding4", {"workspace_check": "bounding_box"}, (382, 470, 483, 701)),
-    ],
-)
-def test_scenes_with_little_space_are_valid(make, name, parameters, seeds):
-    env = make(f"BulletArm/{name}-v0", **parameters)
-    assert all(env.reset(seed=seed)[1]["is_valid"] for seed in seeds)
+    ):
+        env = make(f"BulletArm/{name}-v0", **parameters)
+        assert all(env.reset(seed=seed)[1]["is_valid"] for seed in seeds)
 
 
 @pytest.mark.parametrize("robot", ["kuka", "panda", "ur5"])
