@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from rollouts import PICKING, digest, finish, make_env, mixed_action
+from rollouts import PICKING, digest, finish, make_env, transcript
 from small_arm import PARAMETERS, SMALL
 
 from bulletarm_gym.control import CloseLoop, RobotInterface
@@ -71,18 +71,14 @@ def test_expert_recovers_from_random_actions(make, typical_id):
 
 
 def test_expert_action_is_a_function_of_the_state(make, typical_id):
-    env, other, rng = make(typical_id), make(typical_id, 1), np.random.default_rng(0)
-    env.reset(seed=1)
-    other.reset(seed=9)
-    for _ in range(5):
+    env, other = make(typical_id, seed=1), make(typical_id, 1, seed=9)
+    for number in range(5):
         state, observation = env.get_state(), digest(env.observe())
         other.set_state(state)
         action, *again = env.expert_action(), env.expert_action(), other.expert_action()
         np.testing.assert_array_equal(again, [action, action])
         assert env.get_state() == state and digest(env.observe()) == observation
-        *_, terminated, truncated, _ = env.step(mixed_action(env, rng))
-        if terminated or truncated:
-            env.reset()
+        transcript(env, 1, action_seed=number)
 
 
 @pytest.mark.parametrize("height", [0.06, 0.125])

@@ -69,17 +69,6 @@ def test_box(size):
     np.testing.assert_array_equal(image, np.where(inside, np.float32(0.04), 0))
 
 
-def test_highest_part_is_visible_in_any_order():
-    meshes, positions, rotations = clutter(1)
-    image = draw(meshes, positions, rotations)
-    alone = [draw([m], p, r) for m, p, r in zip(meshes, positions, rotations, strict=True)]
-    np.testing.assert_array_equal(image, np.max(alone, axis=0))
-    np.testing.assert_array_equal(draw(meshes[::-1], positions[::-1], rotations[::-1]), image)
-    some = [True, False, False, True, False]
-    np.testing.assert_array_equal(draw(meshes, positions, rotations, some), np.maximum(alone[0], alone[3]))
-    assert not draw([], np.empty((0, 3))).any()
-
-
 @pytest.mark.parametrize("size", [64, 75])
 @pytest.mark.parametrize("upright", [True, False])
 def test_quarter_turn_of_the_world_is_rot90(size, upright):

@@ -42,15 +42,10 @@ def centroid(mask, extent=EXTENT):
     return (np.argwhere(mask).mean(axis=0) - (len(mask) - 1) / 2) * extent / len(mask)
 
 
-@pytest.fixture
-def scene(picking):
-    picking.reset(seed=0)
-    return picking
-
-
 @pytest.mark.parametrize("height", [0.08, 0.25, 0.35])
-def test_depth_is_metric_and_clipped(scene, height):
-    image = look(scene, Pose.planar(0.45, 0.0, height), Pose.planar(0.52, 0.06, 0.025, 0.3))
+def test_depth_is_metric_and_clipped(make, height):
+    env = make(PICKING, seed=0)
+    image = look(env, Pose.planar(0.45, 0.0, height), Pose.planar(0.52, 0.06, 0.025, 0.3))
     assert image.max() == pytest.approx(min(height + CAMERA_OFFSET, 0.4), abs=1e-6)
     row, column = (round((SIZE - 1) / 2 + offset / RESOLUTION) for offset in (0.07, 0.06))
     assert image[row, column] == pytest.approx(min(height + CAMERA_OFFSET - 0.05, 0.4), abs=1e-6)
@@ -58,15 +53,16 @@ def test_depth_is_metric_and_clipped(scene, height):
         assert raised(image).sum() * RESOLUTION**2 == pytest.approx(0.05**2, rel=0.05)
 
 
-def test_image_is_centred_on_the_fingertips_and_larger_than_the_workspace(make, scene):
+def test_image_is_centred_on_the_fingertips_and_larger_than_the_workspace(make):
     """Rows grow with x, columns with y."""
+    env = make(PICKING, seed=0)
     for hand, offset in (
         ((0.45, 0.0), (0.1, 0.0)),
         ((0.45, 0.0), (0.0, 0.12)),
         ((0.37, 0.08), (0.09, -0.13)),
     ):
         cube = Pose.planar(hand[0] + offset[0], hand[1] + offset[1], 0.025, 0.2)
-        image = look(scene, Pose.planar(*hand, 0.2, math.pi / 4), cube)
+        image = look(env, Pose.planar(*hand, 0.2, math.pi / 4), cube)
         np.testing.assert_allclose(centroid(raised(image)), offset, atol=RESOLUTION / 2)
     env = make(PICKING, obs_size=32, workspace=[[0.3, 0.5], [-0.1, 0.1], [0.01, 0.25]], seed=0)
     image = look(env, Pose.planar(0.4, 0.0, 0.2), Pose.planar(0.5, 0.0, 0.025))
@@ -76,30 +72,31 @@ def test_image_is_centred_on_the_fingertips_and_larger_than_the_workspace(make, 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.6, -1.0])
 @pytest.mark.parametrize("ratio", [1.0, 0.5])
-def test_gripper_is_two_squares(scene, yaw, ratio):
+def test_gripper_is_two_squares(make, yaw, ratio):
     """The arm and the rest of the gripper are not rendered."""
-    scene.scene.robot.home(Pose.planar(0.45, 0.0, 0.06, yaw))
-    scene.scene["cube"].park()
-    scene.scene.robot.set_opening(ratio)
-    image = scene.observe()["heightmap"][0]
+    env = make(PICKING, seed=0)
+    env.scene.robot.home(Pose.planar(0.45, 0.0, 0.06, yaw))
+    env.scene["cube"].park()
+    env.scene.robot.set_opening(ratio)
+    image = env.observe()["heightmap"][0]
     squares = image == 0.0
     assert np.isclose(image[~squares], image.max(), atol=1e-6).all()
     axis = np.array([math.cos(yaw), math.sin(yaw)])
     along = np.zeros(image.shape)
     along[squares] = (np.argwhere(squares) - (SIZE - 1) / 2) @ axis
-    reach = (scene.scene.robot.opening + FINGER) / 2
+    reach = (env.scene.robot.opening + FINGER) / 2
     for side, sign in ((along > 0, 1.0), (along < 0, -1.0)):
         np.testing.assert_allclose(centroid(side), sign * reach * axis, atol=RESOLUTION / 2)
         assert side.sum() * RESOLUTION**2 == pytest.approx(FINGER**2, rel=0.2)
 
 
-def test_grasped_object_is_visible(scene):
-    scene.reset(seed=3)
-    while scene.scene.held is None:
-        scene.step(scene.expert_action())
-    observation, *_ = scene.step([-1.0, 0.0, 0.0, 1.0, 0.0])
+def test_grasped_object_is_visible(make):
+    env = make(PICKING, seed=3)
+    while env.scene.held is None:
+        env.step(env.expert_action())
+    observation, *_ = env.step([-1.0, 0.0, 0.0, 1.0, 0.0])
     assert observation["holding"].tolist() == [1.0]
-    hand, cube = scene.scene.robot.pose, scene.scene["cube"].pose
+    hand, cube = env.scene.robot.pose, env.scene["cube"].pose
     middle = observation["heightmap"][0, SIZE // 2, SIZE // 2]
     assert middle == pytest.approx(hand.z + CAMERA_OFFSET - (cube.z + 0.025), abs=2e-3)
 

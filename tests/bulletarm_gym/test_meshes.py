@@ -81,12 +81,9 @@ def test_formats_are_read_in_any_case(tmp_path, name):
 def test_meshes_of_any_faces_have_the_mass_properties_of_the_box(tmp_path, kind):
     mesh = Mesh.box(SIZE)
     faces = (mesh.faces + 1).tolist()
-    if kind == "inside out":
-        faces = [face[::-1] for face in faces]
-    elif kind == "open":
-        faces = faces[:-2]
-    elif kind == "polygons":
-        faces = [[1, 2, 4, 3], [5, 7, 8, 6], [-8, -4, -3, -7], [3, 4, 8, 7], [1, 3, 7, 5], [2, 6, 8, 4]]
+    polygons = [[1, 2, 4, 3], [5, 7, 8, 6], [-8, -4, -3, -7], [3, 4, 8, 7], [1, 3, 7, 5], [2, 6, 8, 4]]
+    changed = {"inside out": [face[::-1] for face in faces], "open": faces[:-2], "polygons": polygons}
+    faces = changed.get(kind, faces)
     scale = 1000.0 if kind == "millimetres in a URDF" else 1.0
     lines = [f"v {x!r} {y!r} \\\n{z!r}" for x, y, z in (scale * mesh.vertices).tolist()]
     lines += [" ".join(["f", *map(str, face)]) for face in faces]

@@ -61,12 +61,6 @@ def test_bottles_are_upright_in_the_tray(make):
 # Pallet
 
 
-@pytest.fixture
-def pallet(make):
-    env = make(PALLETIZING, max_steps=100, seed=0)
-    return env
-
-
 def stack(env, count, yaw=0.0):
     """Put boxes in the first places, all rotated by an angle (rad)."""
     for number, box in enumerate(env.scene.objects[1 : 1 + count]):
@@ -80,7 +74,8 @@ def stack(env, count, yaw=0.0):
     ("count", "yaw", "correct"),
     [(1, 0.35, 1), (1, -0.45, 0), (1, math.pi / 2.0, 0), (6, 0.0, 1), (7, math.pi, 1), (17, 0.0, 1)],
 )
-def test_next_box_appears_when_all_are_correct(pallet, count, yaw, correct):
+def test_next_box_appears_when_all_are_correct(make, count, yaw, correct):
+    pallet = make(PALLETIZING, max_steps=100, seed=0)
     stack(pallet, count, yaw)
     for _ in range(2):
         place_while_empty(pallet)
@@ -88,7 +83,8 @@ def test_next_box_appears_when_all_are_correct(pallet, count, yaw, correct):
     assert not pallet.task.evaluate(pallet.scene)["success"]
 
 
-def test_next_box_waits_for_full_layers_below(pallet):
+def test_next_box_waits_for_full_layers_below(make):
+    pallet = make(PALLETIZING, max_steps=100, seed=0)
     stack(pallet, 8)
     pallet.scene["box 2"].park()
     place_while_empty(pallet)
@@ -113,7 +109,8 @@ def test_boxes_appear_inside_and_apart(make, env_id, is_random):
             assert math.sin(yaw) == pytest.approx(0.0, abs=1e-3)
 
 
-def test_episode_ends_if_the_next_box_has_no_free_pose(pallet):
+def test_episode_ends_if_the_next_box_has_no_free_pose(make):
+    pallet = make(PALLETIZING, max_steps=100, seed=0)
     stack(pallet, 1)
     with patch("bulletarm_gym.tasks.palletizing.sample_until", side_effect=PlacementError("no room")):
         _, reward, terminated, _, info = pallet.step(np.ones(pallet.action_space.shape, np.float32))
@@ -122,12 +119,6 @@ def test_episode_ends_if_the_next_box_has_no_free_pose(pallet):
 
 
 # Covid tests
-
-
-@pytest.fixture
-def covid(make):
-    env = make(COVID, max_steps=100, seed=0)
-    return env
 
 
 def test_containers_touch_and_are_inside(make):
@@ -161,13 +152,15 @@ def test_pair_becomes_a_used_tube_at_a_random_pose(make):
 
 
 @pytest.mark.parametrize("names", [("swab_0", "swab_1"), ("tube_0", "tube_1"), ("tube_0", "used_tube_0")])
-def test_two_of_a_kind_in_the_test_area_are_invalid(covid, names):
+def test_two_of_a_kind_in_the_test_area_are_invalid(make, names):
+    covid = make(COVID, max_steps=100, seed=0)
     place(covid, "test area", **{names[0]: Pose((0.0, -0.06, 0.012)), names[1]: Pose((0.0, 0.06, 0.012))})
     terminated, info = place_while_empty(covid)
     assert terminated and not info["is_valid"] and not info["is_success"]
 
 
-def test_three_used_tubes_in_their_box_are_the_goal(covid):
+def test_three_used_tubes_in_their_box_are_the_goal(make):
+    covid = make(COVID, max_steps=100, seed=0)
     for number in range(3):
         assert not covid.task.evaluate(covid.scene)["success"]
         place(covid, "used box", **{f"used_tube_{number}": Pose((0.0, 0.025 * (number - 1), 0.012))})
@@ -216,17 +209,13 @@ def test_only_colours_show_which_cubes_are_sorted(make, env_id):
 ENV_ID = "BulletArm/CloseLoopObjectGrasping-v0"
 
 
-@pytest.fixture
-def env(make):
-    return make(ENV_ID)
-
-
 def _poses(env):
     return {item.slot.name: item.pose for item in env.scene}
 
 
-def test_grasped_object_is_removed_at_reset_and_the_others_stay(env, make):
+def test_grasped_object_is_removed_at_reset_and_the_others_stay(make):
     """Also in the state."""
+    env = make(ENV_ID)
     _, info = env.reset(seed=1)
     before = set(_poses(env))
     assert len(before) == 5 and info["is_valid"] and not info["is_held"]
@@ -242,8 +231,8 @@ def test_grasped_object_is_removed_at_reset_and_the_others_stay(env, make):
     assert transcript(other, 8) == transcript(env, 8)
 
 
-def test_scene_is_new_only_with_a_seed_an_option_or_an_invalid_scene(env):
-    env.reset(seed=2)
+def test_scene_is_new_only_with_a_seed_an_option_or_an_invalid_scene(make):
+    env = make(ENV_ID, seed=2)
     before = _poses(env)
     for arguments in ({}, {"options": {"new_scene": False}}):
         env.reset(**arguments)

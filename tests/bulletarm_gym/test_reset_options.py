@@ -89,6 +89,8 @@ def test_clutter_is_kept_while_the_number_is_the_same(make):
 
 
 def test_invalid_options_are_rejected(make):
+    env = make(PICKING, **SIZES, seed=0)
+    state = env.get_state()
     for options, message in (
         *(
             (options, rf"^options must be .*, got {re.escape(repr(options))}$")
@@ -104,8 +106,6 @@ def test_invalid_options_are_rejected(make):
         ({"num_objects": 2}, "num_objects must be one of 1, got 2"),
         ({"randomization": {"object_mass": 1.1}}, r"object_mass must be .*, from 1 to 1, got \[1\.1, 1\.1\]"),
     ):
-        env = make(PICKING, **SIZES, seed=0)
-        state = env.get_state()
         with pytest.raises(ValueError, match=message):
             env.reset(options=options)
         assert env.get_state() == state

@@ -7,9 +7,9 @@ import gymnasium
 import numpy as np
 import pytest
 
-from bulletarm_gym.geometry import Footprint, PlacementError, Pose
+from bulletarm_gym.geometry import Footprint, PlacementError
 from bulletarm_gym.observations import HeightRenderer, Window
-from bulletarm_gym.scene.predicates import on_site, on_surface, touching
+from bulletarm_gym.scene.predicates import on_site, on_surface
 from bulletarm_gym.scene.sampling import footprint, free_site, place_apart
 from bulletarm_gym.simulation import World
 from bulletarm_gym.simulation.state import PHYSICS_MODES
@@ -165,24 +165,3 @@ def test_ramps_keep_clear_of_the_arm(make, robot):
         near = [point for one in plates for point in scene.world.closest_points(scene.robot.body, one, 0.02)]
         # The base is as fixed as the plates.
         assert len(plates) == 2 and not any(0 <= point.link < SHOULDER for point in near)
-
-
-def test_relations_and_heightmaps_follow_the_poses(make):
-    env = make("BulletArm/OpenLoopBlockStacking-v0", seed=0)
-    scene, window = env.scene, Window(env.config.centre, env.config.workspace_size, 64)
-    first, second = list(scene)[:2]
-    renderer, before = HeightRenderer.of(scene), footprint(first)
-    assert footprint(first) is before and not touching(scene, first, second)
-    x, y, z = second.pose.position
-    first.place(Pose((x, y, z + second.spec.extents[2])))
-    assert touching(scene, first, second) and footprint(first).centre == pytest.approx((x, y))
-    assert first.lowest == pytest.approx(second.bounds[1, 2], abs=1e-6)
-    state, alone = env.get_state(), renderer.heights_of([first.body], window)
-    first.place(Pose((x + 0.1, y, z)))
-    assert not touching(scene, first, second)
-    assert not np.array_equal(renderer.heights_of([first.body], window), alone)
-    env.set_state(state)
-    assert touching(scene, first, second)
-    np.testing.assert_array_equal(renderer.heights_of([first.body], window), alone)
-    first.park()
-    assert renderer.heights_of([first.body], window).max() == 0.0

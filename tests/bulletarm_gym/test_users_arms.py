@@ -185,15 +185,6 @@ def test_invalid_field_of_a_model_or_a_gripper_is_named():
         assert all(word in str(error.value) for word in words)
 
 
-def test_sequences_become_tuples_and_names_may_have_quotes():
-    name = """the "arm's" joint"""
-    joints = [*KUKA.joints[:2], name, *KUKA.joints[3:]]
-    changes = {"joints": joints, "posture": np.array(KUKA.posture), "force": [100] * 7}
-    model = changed_kuka(put(KUKA.joints[2], "", name=name), **changes)
-    assert (model.joints, model.posture, model.force) == (tuple(joints), KUKA.posture, (100.0,) * 7)
-    assert len(model.chain.axes) == 7
-
-
 def test_meshes_of_a_folder_are_found(tmp_path, monkeypatch):
     for folder in ("urdf", "meshes"):
         (tmp_path / "my_arm" / folder).mkdir(parents=True)
