@@ -87,18 +87,13 @@ def transcript(env, steps=None, *, seed=None, action_seed=0, before_step=lambda 
     lines = [] if seed is None else [digest(*env.reset(seed=seed))]
     for _ in range(steps):
         before_step(env)
-        action = mixed_action(env, rng)
+        anything = rng.uniform(-1.2, 1.2, env.action_space.shape).astype(np.float32)  # partly outside the box
+        action = env.expert_action() if rng.random() < EXPERT_SHARE else anything
         result = env.step(action)
         lines.append(digest(action, *result))
         if result[2] or result[3]:
             lines.append(digest(*env.reset()))
     return lines
-
-
-def mixed_action(env, rng):
-    """Return the expert's action or, less often, a random action, partly outside the box."""
-    anything = rng.uniform(-1.2, 1.2, env.action_space.shape).astype(np.float32)
-    return env.expert_action() if rng.random() < EXPERT_SHARE else anything
 
 
 def advance(env, seed, steps):

@@ -5,7 +5,6 @@ import sys
 import textwrap
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import pytest
 from PIL import Image
@@ -19,7 +18,6 @@ from bulletarm_gym.robots import ROBOTS
 from bulletarm_gym.robots.editing import LIGHT, box
 from bulletarm_gym.simulation.urdf import find_link
 
-ROOT = Path(__file__).parents[2]
 REACHING = "BulletArm/CloseLoopBlockReaching-v0"
 
 

@@ -35,26 +35,21 @@ WALLS = (
 )
 
 
-def _world(mass):
+@pytest.fixture
+def boxed(mass):
     world = World(PHYSICS_MODES["fast"])
     world.add_plane(FLOOR)
     world.add(CUBE, Pose((0.3, 0.0, 0.02)))
     body = world.add(BodySpec("box", WALLS, mass, slides=(BOLT,), hinges=(LID,)), Pose((0.0, 0.0, 0.0)))
     world.add(CUBE)
     world.seal()
-    return world, body
+    yield world, body
+    world.close()
 
 
 @pytest.fixture(params=[0.0, 0.3], ids=["fixed", "free"])
 def mass(request):
     return float(request.param)
-
-
-@pytest.fixture
-def boxed(mass):
-    world, body = _world(mass)
-    yield world, body
-    world.close()
 
 
 def simulate(world, steps):

@@ -2,7 +2,6 @@
 
 import io
 import itertools
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -14,8 +13,6 @@ from bulletarm_gym.play.__main__ import Teleoperation, main
 
 STACKING = "BulletArm/OpenLoopBlockStacking-v0"
 TWO = ["--env-kwargs", "num_objects:2", "obs_size:48"]
-
-Play = Callable[..., int]
 
 
 @pytest.fixture

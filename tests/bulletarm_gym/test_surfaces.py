@@ -18,7 +18,6 @@ from bulletarm_gym.surfaces import SURFACES, RampSurface
 ENV_ID = "BulletArm/CloseLoopBlockStacking-v0"
 WORKSPACE = [[0.25, 0.65], [-0.2, 0.2], [0.01, 0.5]]
 PARAMETERS = {"workspace": WORKSPACE, "num_objects": 4, "object_scale_range": 0.6}
-PACKING = "BulletArm/OpenLoopBinPacking-v0"
 PIXELS = 96
 SKIN = 2e-3
 """Maximum thickness (m) of the skin around Bullet's convex hulls, such as pyramids."""
