@@ -3,6 +3,8 @@
 import math
 from contextlib import closing
 from dataclasses import replace
+from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import gymnasium
 import numpy as np
@@ -12,7 +14,7 @@ from rollouts import PICKING, make_env
 
 from bulletarm_gym.geometry import Pose, euler_pose, matrix
 from bulletarm_gym.objects.solids import block
-from bulletarm_gym.observations.cameras import side_cameras
+from bulletarm_gym.observations.cameras import Viewer, side_cameras
 from bulletarm_gym.observations.images import FINGER_COLOUR, GRIPPER
 from bulletarm_gym.simulation import BodySpec, Camera, World
 from bulletarm_gym.simulation.shapes import RED
@@ -267,3 +269,19 @@ def test_open_loop_segmentation_numbers_slots_and_omits_the_grasped_object(make)
     assert after["holding"] == 1.0
     held = next(n for n, item in enumerate(env.scene.objects, 1) if item is env.scene.held)
     assert set(np.unique(after["segmentation"])) == {0, 1, 2, 3, 4} - {held}
+
+
+def test_pressed_keys_are_those_that_went_down():
+    client = SimpleNamespace(KEY_IS_DOWN=1, KEY_WAS_TRIGGERED=2, KEY_WAS_RELEASED=4)
+    client.COV_ENABLE_KEYBOARD_SHORTCUTS = client.configureDebugVisualizer = MagicMock()
+    config, world = SimpleNamespace(render_mode="human"), SimpleNamespace(client=client)
+    viewer, shift, tapped = Viewer(SimpleNamespace(config=config, world=world)), 65306, 4
+    for events, pressed in (
+        ({"w": 3, "a": tapped, ".": 2, "q": 6}, [".", "a", "q", "w"]),
+        ({"w": 1}, []),
+        ({"w": 4, "q": tapped}, ["q"]),
+        ({"w": tapped}, ["w"]),
+    ):
+        found = {shift: 3, **{ord(key): event for key, event in events.items()}}
+        client.getKeyboardEvents = lambda found=found: found
+        assert viewer.pressed_keys() == pressed

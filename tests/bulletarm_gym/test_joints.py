@@ -86,9 +86,13 @@ def test_lid_falls_shut_and_a_brake_holds_it(boxed):
     assert bolt == pytest.approx(0.02, abs=1e-3)
     assert world.poses[body.index].tilt < 0.02
     assert world.speed(body) < REST_SPEED and not world.has_motion
+    assert not world.contacts(body, body), "parts do not collide with their body"
     world.set_joints(body, (0.02, 1.5))
     simulate(world, 240)
     assert world.joints[body.index][1] == pytest.approx(1.5, abs=0.03), "nearly upright the brake is stronger"
+    world.park(body)
+    simulate(world, 10)
+    assert body not in world.loose_bodies
 
 
 def test_inertia_has_the_axes_of_the_pieces(mass):

@@ -122,22 +122,18 @@ def test_a_fallen_roof_ends_the_episode(make, env_id):
     assert (reward, terminated, info["is_valid"]) == (0.0, True, False)
 
 
-@pytest.mark.parametrize(
-    ("env_id", "parameters", "picks"),
-    [
+def test_expert_needs_two_steps_a_block(make):
+    """The first block stays where it is, except on bumps."""
+    for env_id, parameters, picks in (
         (HOUSE_4, {}, 5),
         (IMPROVISE_3, {}, 3),
         (BUMP, {}, 6),
         (HOUSE_1, {"action_sequence": "xyzrrr"}, 3),
         (HOUSE_1, {"half_rotation": False, "workspace": [[0.3, 0.6], [-0.1, 0.2], [0.0, 0.5]]}, 3),
         (HOUSE_1, {"object_scale_range": [0.5, 0.8], "num_objects": 3}, 2),
-    ],
-    ids=str,
-)
-def test_expert_needs_two_steps_a_block(make, env_id, parameters, picks):
-    """The first block stays where it is, except on bumps."""
-    env = make(env_id, **parameters, seed=1)
-    assert finish(env) == (True, 2 * picks)
+    ):
+        env = make(env_id, **parameters, seed=1)
+        assert finish(env) == (True, 2 * picks)
 
 
 def test_expert_takes_wrong_structures_apart(make):
@@ -160,9 +156,7 @@ def test_random_blocks_are_placed_without_a_rotation(make):
         assert finish(env) == (True, 4)
 
 
-@pytest.mark.parametrize(
-    "env_id", [OPEN_STACKING, HOUSE_1, IMPROVISE_3, RAMP, "BulletArm/CloseLoopHouseBuilding-v0"]
-)
+@pytest.mark.parametrize("env_id", [OPEN_STACKING, IMPROVISE_3, RAMP, STACKING])
 def test_goal_starts_are_solved_and_repeatable(make, env_id):
     env = make(env_id)
     for seed in range(2):
@@ -171,24 +165,20 @@ def test_goal_starts_are_solved_and_repeatable(make, env_id):
         assert digest(first) == digest(env.reset(seed=seed, options={"start": "goal"})[0])
 
 
-@pytest.mark.parametrize(
-    ("env_id", "env_kwargs"),
-    [
+def test_demonstrations_rebuild_the_structure(make):
+    for env_id, env_kwargs in (
         (OPEN_STACKING, {"action_sequence": "pxy", "random_orientation": False}),
         (IMPROVISE_3, {}),
         *((HOUSE_1, {"robot": robot}) for robot in ("panda", "ur5_robotiq")),
-    ],
-    ids=str,
-)
-def test_demonstrations_rebuild_the_structure(make, env_id, env_kwargs):
-    demonstrations = collect(env_id, 2, "deconstruction", seed=0, env_kwargs=env_kwargs)
-    assert demonstrations.attempts <= 3
-    env = make(env_id, **env_kwargs)
-    steps = 2 * (env.config.num_objects - 1)
-    for episode in demonstrations:
-        np.testing.assert_array_equal(episode.observations["holding"][:-1, 0], np.resize([0.0, 1.0], steps))
-        is_shown = episode.observations["in_hand"].any(axis=(1, 2, 3))
-        np.testing.assert_array_equal(is_shown[:-1], np.resize([False, True], steps))
-    env.set_state(demonstrations[0].state)
-    if "random_orientation" in env_kwargs:
-        assert [obj.pose.yaw for obj in env.scene] == pytest.approx([0.0] * 4, abs=1e-4)
+    ):
+        demonstrations = collect(env_id, 2, "deconstruction", seed=0, env_kwargs=env_kwargs)
+        assert demonstrations.attempts <= 3
+        env = make(env_id, **env_kwargs)
+        steps = 2 * (env.config.num_objects - 1)
+        for episode in demonstrations:
+            holding, in_hand = (episode.observations[name][:-1] for name in ("holding", "in_hand"))
+            for is_held in (holding[:, 0] == 1.0, in_hand.any(axis=(1, 2, 3))):
+                np.testing.assert_array_equal(is_held, np.resize([False, True], steps))
+        env.set_state(demonstrations[0].state)
+        if "random_orientation" in env_kwargs:
+            assert [obj.pose.yaw for obj in env.scene] == pytest.approx([0.0] * 4, abs=1e-4)

@@ -94,12 +94,7 @@ rescale = partial(wrappers.RescaleAction, min_action=np.float32(-3.0), max_actio
 negate = partial(wrappers.TransformAction, func=np.negative, action_space=None)
 INVERTIBLE = {
     "none": [wrappers.RecordEpisodeStatistics],
-    "rescaled twice": [
-        rescale,
-        wrappers.RecordEpisodeStatistics,
-        partial(rescale, max_action=np.float32(5.0)),
-    ],
-    "clipped": [wrappers.ClipAction],
+    "rescaled twice": [rescale, wrappers.ClipAction, partial(rescale, max_action=np.float32(5.0))],
     "own": [Doubled, rescale],
 }
 OTHERS = {
