@@ -111,7 +111,7 @@ def test_registration_is_refused():
         *(("object", name, "my_parts:brick", f"^name must be unused, got '{name}'") for name in KINDS),
         *(("robot", name, "my_parts:arm", f"^name must be unused, got '{name}'") for name in ROBOTS),
         ("control", "open_loop", "my_parts:Backwards", "^name must be unused, got 'open_loop'"),
-        ("surface", "high_ground", "my_parts:Raised", "^name must be unused, got 'high_ground'"),
+        ("surface", "high_ground", FlatSurface, "^name must be unused, got 'high_ground'"),
     ):
         with pytest.raises(ValueError, match=reason):
             getattr(bulletarm_gym, f"register_{kind}")(name, component)
@@ -160,7 +160,10 @@ REFUSED = [
             (["in_hand"], "'in_hand' of open_loop"),
         )
     ),
-    ({"view": "point_cloud", "observation": ["color"]}, "view must be .*, got 'point_cloud'"),
+    (
+        {"view": "point_cloud", "observation": ["color"]},
+        "observation: color: view must be .*, got 'point_cloud'",
+    ),
 ]
 
 

@@ -150,7 +150,7 @@ def check(env):
         check_gymnasium(env, skip_render_check=True)
 
 
-@pytest.mark.parametrize(("task", "size"), zip(TASKS, (3, 2, 1, 4), strict=True))
+@pytest.mark.parametrize(("task", "size"), [*zip(TASKS, (3, 2, 1, 4), strict=True)])
 def test_goals_of_the_tasks_are_positions_and_gaps(task, size):
     env = goal_env(task)
     check(env)
