@@ -141,7 +141,6 @@ COMBINATIONS = [
     ("CloseLoopObjectGrasping", {"close_loop_tray": False}, "close_loop_tray"),
     ("CloseLoopBlockPulling", {"workspace": [[0.36, 0.6], [-0.09, 0.15], [0.01, 0.25]]}, None),
     ("CloseLoopBlockStacking", {"num_objects": 4, "object_scale_range": [0.8, 1.1]}, None),
-    ("CloseLoopHouseBuilding", {"num_objects": 4, "object_scale_range": 1.2}, "object_scale_range"),
     ("CloseLoopBlockInBowl", {"object_scale_range": 1.2}, None),
     ("OpenLoopCovidTest", {"workspace": [[0.35, 0.6], [-0.1, 0.15], [0.0, 1.0]]}, "workspace"),
     ("OpenLoopObjectGrasping", {"workspace": square(0.4, 0.5, 0, 1), "num_objects": 4}, "num_objects"),

@@ -93,8 +93,9 @@ class Doubled(gymnasium.ActionWrapper):
 rescale = partial(wrappers.RescaleAction, min_action=np.float32(-3.0), max_action=np.float32(1.0))
 negate = partial(wrappers.TransformAction, func=np.negative, action_space=None)
 INVERTIBLE = {
-    "none": [wrappers.RecordEpisodeStatistics],
-    "rescaled twice": [rescale, wrappers.ClipAction, partial(rescale, max_action=np.float32(5.0))],
+    "observed": [wrappers.RecordEpisodeStatistics],
+    "rescaled twice": [rescale, partial(rescale, max_action=np.float32(5.0))],
+    "clipped": [wrappers.ClipAction],
     "own": [Doubled, rescale],
 }
 OTHERS = {
