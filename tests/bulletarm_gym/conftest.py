@@ -2,9 +2,7 @@
 
 import json
 import sys
-from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -17,32 +15,36 @@ sys.path.insert(1, str(HERE.parents[1] / "examples"))  # for small_arm
 import rollouts  # noqa: E402
 
 import bulletarm_gym  # noqa: E402
-from bulletarm_gym.env import ManipulationEnv  # noqa: E402
 
 
 @pytest.fixture(scope="session", params=bulletarm_gym.ENV_IDS, ids=lambda env_id: env_id.split("/")[1])
-def env_id(request: pytest.FixtureRequest) -> str:
+def env_id(request):
     """Every registered id in turn."""
     return str(request.param)
 
 
 @pytest.fixture(scope="session", params=rollouts.TYPICAL, ids=lambda env_id: env_id.split("/")[1])
-def typical_id(request: pytest.FixtureRequest) -> str:
+def typical_id(request):
     """An id of each kind."""
     return str(request.param)
 
 
 @pytest.fixture(scope="session")
-def make() -> Iterator[Callable[..., ManipulationEnv]]:
-    """Make environments that tests share, up to :data:`KEPT` at once; ``instance`` tells equal ones apart."""
-    made: dict[str, ManipulationEnv] = {}
+def make():
+    """Make environments that tests share, up to :data:`KEPT` at once; ``instance`` tells equal ones apart.
 
-    def get(env_id: str, instance: int = 0, **parameters: Any) -> ManipulationEnv:
+    With a seed they are reset.
+    """
+    made = {}
+
+    def get(env_id, instance=0, *, seed=None, **parameters):
         key = json.dumps([env_id, instance, parameters], sort_keys=True)
         env = made.pop(key, None)
         made[key] = env = env or rollouts.make_env(env_id, **parameters)
         if len(made) > KEPT:
             made.pop(next(iter(made))).close()
+        if seed is not None:
+            env.reset(seed=seed)
         return env
 
     yield get
@@ -51,12 +53,12 @@ def make() -> Iterator[Callable[..., ManipulationEnv]]:
 
 
 @pytest.fixture
-def typical_env(make: Callable[..., ManipulationEnv], typical_id: str) -> ManipulationEnv:
+def typical_env(make, typical_id):
     """The shared instance of an id of each kind."""
     return make(typical_id)
 
 
 @pytest.fixture
-def picking(make: Callable[..., ManipulationEnv]) -> ManipulationEnv:
+def picking(make):
     """The shared instance of the picking task."""
     return make("BulletArm/CloseLoopBlockPicking-v0")

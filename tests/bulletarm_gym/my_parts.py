@@ -24,10 +24,6 @@ class Raised(FlatSurface):
     slide = 0.0
 
 
-class Hilly(FlatSurface):
-    sloping = True
-
-
 class Backwards(CloseLoop):
     sequences = ("rzyxp", "zyxp")
 
@@ -89,12 +85,3 @@ Shape = type("Shape", (Wrong,), {"returned": np.zeros(3, np.float32)})
 Type = type("Type", (Wrong,), {"returned": np.zeros(2)})
 List = type("List", (Wrong,), {"returned": [0.0, 0.0]})
 Discrete = type("Discrete", (Wrong,), {"space": spaces.Discrete(2)})
-
-
-class Late(Wrong):
-    def read(self, view):
-        return view.labels[0, :2].astype(np.float32)
-
-    def follow(self, before, pick):
-        vars(before).pop("labels")
-        return before.labels

@@ -3,18 +3,12 @@
 import dataclasses
 import hashlib
 import itertools
-from collections.abc import Callable
-from typing import Any
 
 import gymnasium
 import numpy as np
 
 import bulletarm_gym
 from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.scene.state import EnvState
-
-Make = Callable[..., ManipulationEnv]
-"""Type of the fixture ``make``."""
 
 PICKING = "BulletArm/CloseLoopBlockPicking-v0"
 EXPERT_SHARE = 0.7
@@ -30,7 +24,7 @@ TYPICAL = (
 """An id of each kind."""
 
 
-def make_env(env_id: str, **parameters: Any) -> ManipulationEnv:
+def make_env(env_id, **parameters):
     """Make an environment without wrappers.
 
     An action sequence of close loop is replaced in open loop by one without z, or on slopes with three r's.
@@ -45,22 +39,22 @@ def make_env(env_id: str, **parameters: Any) -> ManipulationEnv:
     return env
 
 
-def is_open_loop(env_id: str) -> bool:
+def is_open_loop(env_id):
     """Return True if the actions of an id are picks and places."""
     return "/OpenLoop" in env_id
 
 
-def is_sloping(env_id: str) -> bool:
+def is_sloping(env_id):
     """Return True if objects lie on ramps or bumps."""
     return "LoopRamp" in env_id or "LoopBump" in env_id
 
 
-def idle(env: ManipulationEnv) -> np.ndarray:
+def idle(env):
     """Return an action that does nothing at the start of an episode."""
     return np.zeros(env.action_space.shape, np.float32)
 
 
-def finish(env: Any) -> tuple[bool, int]:
+def finish(env):
     """Act by the expert to the end of the episode; return whether it succeeded, and its number of steps."""
     expert = env.get_wrapper_attr("expert_action")
     for step in itertools.count(1):
@@ -70,7 +64,7 @@ def finish(env: Any) -> tuple[bool, int]:
     raise AssertionError
 
 
-def digest(*parts: Any) -> str:
+def digest(*parts):
     """Return a short hash of arrays, dicts and Python scalars; equal only if they are equal bit for bit."""
     sha = hashlib.sha256()
     for part in parts:
@@ -80,14 +74,7 @@ def digest(*parts: Any) -> str:
     return sha.hexdigest()[:16]
 
 
-def transcript(
-    env: ManipulationEnv,
-    steps: int | None = None,
-    *,
-    seed: int | None = None,
-    action_seed: int = 0,
-    before_step: Callable[[ManipulationEnv], object] = lambda env: None,
-) -> list[str]:
+def transcript(env, steps=None, *, seed=None, action_seed=0, before_step=lambda env: None):
     """Act on an environment, with expert actions among random ones, and reset it after each episode.
 
     :param steps: number of steps, by default fewer in open loop
@@ -100,7 +87,8 @@ def transcript(
     lines = [] if seed is None else [digest(*env.reset(seed=seed))]
     for _ in range(steps):
         before_step(env)
-        action = mixed_action(env, rng)
+        anything = rng.uniform(-1.2, 1.2, env.action_space.shape).astype(np.float32)  # partly outside the box
+        action = env.expert_action() if rng.random() < EXPERT_SHARE else anything
         result = env.step(action)
         lines.append(digest(action, *result))
         if result[2] or result[3]:
@@ -108,13 +96,7 @@ def transcript(
     return lines
 
 
-def mixed_action(env: ManipulationEnv, rng: np.random.Generator) -> np.ndarray:
-    """Return the expert's action or, less often, a random action, partly outside the box."""
-    anything = rng.uniform(-1.2, 1.2, env.action_space.shape).astype(np.float32)
-    return env.expert_action() if rng.random() < EXPERT_SHARE else anything
-
-
-def advance(env: ManipulationEnv, seed: int, steps: int) -> EnvState:
+def advance(env, seed, steps):
     """Return the state after some steps of the expert; the episode must not have ended.
 
     If each step is an episode, the next one has begun.
@@ -129,13 +111,13 @@ def advance(env: ManipulationEnv, seed: int, steps: int) -> EnvState:
     return env.get_state()
 
 
-def step_on(env: ManipulationEnv, action: Any) -> Any:
+def step_on(env, action):
     """Step, also after the end of the episode."""
     env.set_state(dataclasses.replace(env.get_state(), steps=0, ended=False))
     return env.step(action)
 
 
-def answer(requests: dict[str, tuple[str, dict[str, Any], EnvState | None]]) -> dict[str, list[str]]:
+def answer(requests):
     """Return the rollouts of ``{name: (env_id, parameters, state or None)}``, without a state of seed 0."""
     answers = {}
     for name, (env_id, parameters, state) in requests.items():

@@ -7,7 +7,6 @@ import math
 import pickle
 import sys
 import warnings
-from typing import Any
 
 import gymnasium
 import numpy as np
@@ -17,16 +16,13 @@ import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import TimeAwareObservation
-from rollouts import PICKING, Make, advance, digest, finish, idle, make_env, transcript
+from rollouts import PICKING, advance, digest, finish, idle, make_env, transcript
 
 from bulletarm_gym.control import DeltaMove
 from bulletarm_gym.demonstrations import json_state
-from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.wrappers import UNLIMITED
 
-ENDED = r"^the episode has ended\. Call reset\(\)"
-MEGABYTE = 2**20
 MAX_SERVERS = 1024
 """Number of PyBullet's physics servers in a process."""
 REACHING = "BulletArm/CloseLoopBlockReaching-v0"
@@ -34,16 +30,13 @@ SB3_IMAGE_WARNINGS = ("has to be `np.uint8`", "are not in [0, 255]", "minimal re
 """Warnings of Stable-Baselines3 about images that are depths in metres: their type, bounds and size."""
 
 
-# Every id
-
-
 @pytest.mark.filterwarnings("error")
-def test_contract(env_id: str) -> None:
+def test_contract(env_id):
     """Gymnasium's checks, an episode that the expert solves, equal seeds, exact states and an image."""
     assert gymnasium.spec(env_id).max_episode_steps is None and json.dumps(gymnasium.spec(env_id).kwargs)
     few = {"num_objects": 5} if "ObjectGrasping" in env_id else {}  # 15 take long to fall
     env = gymnasium.make(env_id, render_mode="rgb_array", render_size=64, **few)
-    core: Any = env.unwrapped
+    core = env.unwrapped
     check_env(core, skip_render_check=True)
     check_with_stable_baselines(core)
     assert any(solves(env, seed) for seed in range(3)), "the expert may fail once"
@@ -58,7 +51,7 @@ def test_contract(env_id: str) -> None:
     assert (digest(*core.reset(seed=5)), digest(*core.step(core.expert_action()))) == first
 
 
-def check_with_stable_baselines(env: ManipulationEnv) -> None:
+def check_with_stable_baselines(env):
     """Run Stable-Baselines3's checks, if it is installed. They warn of depths in metres only."""
     checker = pytest.importorskip("stable_baselines3.common.env_checker")
     with warnings.catch_warnings(record=True) as caught:
@@ -68,7 +61,7 @@ def check_with_stable_baselines(env: ManipulationEnv) -> None:
     assert all(any(known in text for known in SB3_IMAGE_WARNINGS) for text in texts)
 
 
-def solves(env: Any, seed: int) -> bool:
+def solves(env, seed):
     """Check the values of an episode of the expert; return whether it succeeds."""
     observation, info = env.reset(seed=seed)
     keys = info.keys()
@@ -91,13 +84,10 @@ def solves(env: Any, seed: int) -> bool:
     return bool(info["is_success"])
 
 
-# Checkers
-
-
 @pytest.mark.filterwarnings("error")
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="displays are found on Linux only")
 @pytest.mark.parametrize("display", ["", ":0"])
-def test_window_needs_a_display(display: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_window_needs_a_display(display, monkeypatch):
     monkeypatch.setenv("DISPLAY", display)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     env = make_env(PICKING, render_mode="rgb_array", obs_size=16)
@@ -110,29 +100,13 @@ def test_window_needs_a_display(display: str, monkeypatch: pytest.MonkeyPatch) -
             make_env(PICKING, render_mode="human")
 
 
-# End of an episode
-
-
-@pytest.mark.parametrize("name", ["max_steps", "max_episode_steps"])
-def test_success_at_the_time_limit_terminates(make: Make, name: str) -> None:
-    free = make(REACHING)
-    free.reset(seed=0)
-    _, length = finish(free)
-    limited = gymnasium.make(REACHING, **{name: length})
-    for env in (limited, gymnasium.make(EnvSpec.from_json(limited.spec.to_json()))):
-        env.reset(seed=0)
-        core: Any = env.unwrapped
-        results = [env.step(core.expert_action())[1:4] for _ in range(length)]
-        assert results[-1] == (1.0, True, False)
-
-
-def test_free_object_outside_the_workspace_ends_the_episode(typical_env: ManipulationEnv) -> None:
+def test_free_object_outside_the_workspace_ends_the_episode(typical_env):
     env = typical_env
     (_, high), (x, y), side = env.config.workspace[0], env.config.centre, env.config.workspace_size
     env.reset(seed=0)
     state, item = env.get_state(), next(item for item in env.scene if item.spec.mass > 0.0)
 
-    def step_from(*position: float) -> Any:
+    def step_from(*position):
         poses = list(state.world.poses)
         poses[item.body.index] = Pose(position)
         world = dataclasses.replace(state.world, poses=tuple(poses))
@@ -147,18 +121,9 @@ def test_free_object_outside_the_workspace_ends_the_episode(typical_env: Manipul
     assert step_from(high - 1e-4, 0.1, 0.025)[4]["is_valid"], "the border belongs to the workspace"
 
 
-@pytest.mark.parametrize(("check", "valid"), [("point", True), ("bounding_box", False)])
-def test_bounding_box_is_stricter_than_point(make: Make, check: str, valid: bool) -> None:
-    env = make(PICKING, workspace_check=check)
-    assert env.reset(seed=0)[1]["is_valid"]
-    env.scene["cube"].place(Pose((0.59, 0.1, 0.025)))
-    assert env.step(idle(env))[4]["is_valid"] is valid
-
-
 @pytest.mark.parametrize(("x", "valid"), [(0.595, True), (0.605, False)])
-def test_success_counts_only_in_a_valid_scene(make: Make, x: float, valid: bool) -> None:
-    env = make(REACHING)
-    env.reset(seed=0)
+def test_success_counts_only_in_a_valid_scene(make, x, valid):
+    env = make(REACHING, seed=0)
     env.scene["cube"].place(Pose((0.35, 0.1, 0.025)))
     for _ in range(8):
         step = np.subtract((0.6, 0.0, 0.04), env.scene.robot.pose.position)
@@ -169,10 +134,21 @@ def test_success_counts_only_in_a_valid_scene(make: Make, x: float, valid: bool)
     assert (reward, info["is_success"], info["is_valid"]) == (float(valid), valid, valid)
 
 
-# Actions
+def test_success_at_the_time_limit_terminates():
+    limited = gymnasium.make(REACHING, max_episode_steps=3)
+    for env in (limited, gymnasium.make(EnvSpec.from_json(limited.spec.to_json()))):
+        env.reset(seed=0)
+        assert finish(env) == (True, 3)
 
 
-def test_form_of_an_action_does_not_matter(typical_env: ManipulationEnv) -> None:
+@pytest.mark.parametrize(("check", "valid"), [("point", True), ("bounding_box", False)])
+def test_bounding_box_is_stricter_than_point(make, check, valid):
+    env = make(PICKING, workspace_check=check, seed=0)
+    env.scene["cube"].place(Pose((0.59, 0.1, 0.025)))
+    assert env.step(idle(env))[4]["is_valid"] is valid
+
+
+def test_form_of_an_action_does_not_matter(typical_env):
     """Numbers outside the box are clipped, and the action is not changed."""
     action = [0.5, -3.0, 0.125, -1.0, 0.75, 0.25, -0.5][: typical_env.action_space.shape[0]]
     array = np.array(action, np.float32)
@@ -183,103 +159,66 @@ def test_form_of_an_action_does_not_matter(typical_env: ManipulationEnv) -> None
     assert len(results) == 1 and array.tolist() == action
 
 
-@pytest.mark.parametrize(
-    "action",
-    [[math.nan] * 5, [0, 0, -math.inf, 0, 0], np.zeros(3), np.zeros((1, 5)), 0.0, "open", None, [[1, 2], 0]],
-    ids=str,
-)
-def test_step_rejects_other_actions_and_does_nothing(picking: ManipulationEnv, action: Any) -> None:
+def test_other_actions_are_rejected_and_render_warns_without_a_mode(picking):
     picking.reset(seed=0)
     state = picking.get_state()
-    with pytest.raises(ValueError, match="action must be"):
-        picking.step(action)
-    assert picking.get_state() == state
-
-
-def test_render_without_a_mode_warns(picking: ManipulationEnv) -> None:
-    picking.reset(seed=0)
+    wrong = ([math.nan] * 5, [0, 0, -math.inf, 0, 0], np.zeros(3), np.zeros((1, 5)), 0.0, "open", None)
+    for action in (*wrong, [[1, 2], 0]):
+        with pytest.raises(ValueError, match="action must be"):
+            picking.step(action)
+        assert picking.get_state() == state
     with pytest.warns(UserWarning, match=r"render_mode must be set for render\(\), got None"):
         assert picking.render() is None
 
 
-# Specs
-
-
-@pytest.mark.parametrize("env_id", [PICKING, "BulletArm/CloseLoopObjectGrasping-v0"])
-def test_spec_keeps_the_parameters_as_json(env_id: str) -> None:
+def test_spec_keeps_the_parameters_as_json():
+    env_id = "BulletArm/CloseLoopObjectGrasping-v0"
     registered = gymnasium.spec(env_id).to_json()
     workspace = np.array([[0.32, 0.6], [-0.14, 0.14], [0.01, 0.25]])
-    env: Any = gymnasium.make(env_id, workspace=workspace, max_steps=np.int64(7), fast_mode=np.True_)
+    env = gymnasium.make(env_id, workspace=workspace, max_steps=np.int64(7), fast_mode=np.True_)
     assert env.unwrapped.spec.kwargs["workspace"] == workspace.tolist()
-    again: Any = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
+    again = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
     assert again.unwrapped.config == env.unwrapped.config and again.spec == env.spec
     assert digest(*again.reset(seed=2)) == digest(*env.reset(seed=2))
     assert gymnasium.spec(env_id).to_json() == registered
 
 
-@pytest.mark.parametrize(
-    ("first", "then", "steps"),
-    [
+def test_spec_has_the_number_of_steps_of_an_episode():
+    """Made with some parameters, and again from its spec with others."""
+    for first, then, steps in (
         ({}, {}, 50),
-        ({"max_episode_steps": 5}, {}, 5),
         ({"max_steps": 7, "max_episode_steps": 60}, {}, 60),
         ({}, {"max_steps": 6}, 6),
         ({"max_steps": 60}, {"max_episode_steps": 7}, 7),
         ({"max_episode_steps": -1}, {}, UNLIMITED),
-        ({}, {"max_episode_steps": -1}, UNLIMITED),
-    ],
-    ids=str,
-)
-def test_spec_has_the_number_of_steps_of_an_episode(first: Any, then: Any, steps: int) -> None:
-    """Made with some parameters, and again from its spec with others."""
-    made = gymnasium.make(PICKING, obs_size=16, **first)
-    again = gymnasium.make(EnvSpec.from_json(made.spec.to_json()), **then)
-    for env in (again, pickle.loads(pickle.dumps(again))):
-        limits = {env.spec.max_episode_steps, env.unwrapped.spec.max_episode_steps}
-        assert limits == {TimeAwareObservation(env).max_timesteps} == {steps}
-        env.reset(seed=0)
-        ends = [env.step(idle(env.unwrapped))[2:4] for _ in range(min(steps, 60))]
-        assert ends == [(False, False)] * (len(ends) - 1) + [(False, steps <= 60)]
+    ):
+        made = gymnasium.make(PICKING, obs_size=16, **first)
+        again = gymnasium.make(EnvSpec.from_json(made.spec.to_json()), **then)
+        for env in (again, pickle.loads(pickle.dumps(again))):
+            limits = {env.spec.max_episode_steps, env.unwrapped.spec.max_episode_steps}
+            assert limits == {TimeAwareObservation(env).max_timesteps} == {steps}
+            env.reset(seed=0)
+            ends = [env.step(idle(env.unwrapped))[2:4] for _ in range(min(steps, 60))]
+            assert ends == [(False, False)] * (len(ends) - 1) + [(False, steps <= 60)]
 
 
-def test_measure_adds_up_seconds() -> None:
-    env = make_env(PICKING, obs_size=16)
-    env.reset(seed=0)
-    seconds = env.measure()
-    assert set(seconds.values()) == {0.0}
-    finish(env)
-    assert seconds.keys() == {"physics", "rendering"} and min(seconds.values()) > 0.0
-
-
-def test_no_step_after_the_end(picking: ManipulationEnv) -> None:
+def test_no_step_after_the_end(picking):
     picking.reset(seed=0)
     finish(picking)
     at_the_end = picking.get_state()
     assert at_the_end.ended and picking.expert_action() in picking.action_space
-    for state in (None, at_the_end):
-        if state is not None:
-            picking.reset()
-            picking.set_state(state)
-        with pytest.raises(gymnasium.error.ResetNeeded, match=ENDED):
+    for _ in range(2):
+        with pytest.raises(gymnasium.error.ResetNeeded, match=r"^the episode has ended\. Call reset\(\)"):
             picking.step(idle(picking))
         assert picking.get_state() == at_the_end
+        picking.reset()
+        picking.set_state(at_the_end)
 
 
-def test_time_limit_truncates(make: Make, typical_id: str) -> None:
-    env = make(typical_id, max_steps=2)
-    env.reset(seed=0)
-    if env.task.single_step:
-        assert env.step(idle(env))[1:4] == (0.0, True, False)
-        return
-    assert [env.step(idle(env))[1:4] for _ in range(2)] == [(0.0, False, False), (0.0, False, True)]
-    with pytest.raises(gymnasium.error.ResetNeeded, match=ENDED):
-        env.step(idle(env))
-
-
-def test_environment_needs_a_reset_and_rejects_calls_after_close() -> None:
+def test_environment_needs_a_reset_and_rejects_calls_after_close():
     """PyBullet gives the number of a closed server to the next one."""
     env = gymnasium.make(PICKING, obs_size=16)
-    inner: Any = env.unwrapped
+    inner = env.unwrapped
     action = np.zeros(5, np.float32)
     calls = (lambda: inner.step(action), inner.expert_action, inner.get_state)
     for call in calls:
@@ -302,41 +241,29 @@ def test_environment_needs_a_reset_and_rejects_calls_after_close() -> None:
     fresh.close()
 
 
-# Memory
+def test_resets_and_states_do_not_grow(typical_env):
+    used = []
+    for number in range(20):
+        typical_env.reset()
+        typical_env.step(typical_env.expert_action())
+        typical_env.set_state(typical_env.get_state())
+        if number in (4, 19):
+            gc.collect()
+            used.append(psutil.Process().memory_info().rss)
+    assert used[1] - used[0] < 2.5 * 2**20
 
 
-def servers() -> int:
-    gc.collect()
-    return sum(bool(pybullet.isConnected(number)) for number in range(MAX_SERVERS))
+def test_server_is_released_by_close_by_the_collector_and_after_an_error():
+    def servers():
+        gc.collect()
+        return sum(bool(pybullet.isConnected(number)) for number in range(MAX_SERVERS))
 
-
-def used() -> int:
-    gc.collect()
-    return int(psutil.Process().memory_info().rss)
-
-
-def test_resets_and_states_do_not_grow(typical_env: ManipulationEnv) -> None:
-    def play(episodes: int) -> None:
-        for _ in range(episodes):
-            typical_env.reset()
-            typical_env.step(typical_env.expert_action())
-            typical_env.set_state(typical_env.get_state())
-
-    play(5)
-    before = used()
-    play(15)
-    assert used() - before < 2.5 * MEGABYTE
-
-
-def test_server_is_released_by_close_by_the_collector_and_after_an_error() -> None:
     before = servers()
     env = make_env(PICKING, obs_size=32)
-    env.reset(seed=0)
     assert servers() == before + 1
     env.close()
     assert servers() == before
-    env = make_env(PICKING, obs_size=32)
-    del env
+    make_env(PICKING, obs_size=32)
     assert servers() == before
     for parameters in ({"robot": "nobody"}, {"reward": "nowhere:nothing"}):
         with pytest.raises(ValueError, match=next(iter(parameters))):

@@ -33,7 +33,7 @@ PARAMETERS = {
 }
 
 
-def _rows(table: str, prefix: str) -> list[tuple[str, int, int, int]]:
+def _rows(table, prefix):
     words = table.split()
     count = len(words) // 4
     names, *numbers = (words[count * row : count * (row + 1)] for row in range(4))
@@ -48,7 +48,7 @@ ROWS["open_loop_6d"] = _rows(OPEN_LOOP_3D, "OpenLoopRamp")[:7] + BUMPS
 
 
 @pytest.mark.parametrize("name", PARAMETERS)
-def test_benchmarks_have_the_papers_numbers(name: str) -> None:
+def test_benchmarks_have_the_papers_numbers(name):
     benchmark, entries = BENCHMARKS[name], {entry.env_id: entry for entry in PAPER}
     assert (benchmark.action_sequence, benchmark.random_orientation) == PARAMETERS[name]
     rows = benchmark.environments
@@ -63,6 +63,6 @@ def test_benchmarks_have_the_papers_numbers(name: str) -> None:
         assert (config.num_objects, config.max_steps) == (row.num_objects, row.max_steps)
 
 
-def test_every_environment_of_the_benchmarks_is_registered() -> None:
+def test_every_environment_of_the_benchmarks_is_registered():
     listed = {env.env_id for benchmark in BENCHMARKS.values() for env in benchmark.environments}
     assert set(bulletarm_gym.PAPER_IDS) == listed and len(listed) == 31

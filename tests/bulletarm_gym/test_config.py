@@ -2,58 +2,46 @@
 
 import pickle
 import re
-from typing import Any
+from contextlib import nullcontext
 
 import gymnasium
 import numpy as np
 import pytest
 from rollouts import PICKING, make_env
 
-from bulletarm_gym.config import (
-    PARAMETERS,
-    Context,
-    EnvConfig,
-    ParameterError,
-    TaskDefaults,
-    default_home_height,
-)
+from bulletarm_gym.config import PARAMETERS, Context, EnvConfig, ParameterError, TaskDefaults
 from bulletarm_gym.geometry import PlacementError
+from bulletarm_gym.randomization import Randomization
 
 TASK = TaskDefaults(num_objects=2, max_steps=50, object_scale=0.8, allowed_objects=(2, 3))
 WORKSPACE = [[0.3, 0.6], [-0.15, 0.15], [0.01, 0.25]]
 
 
-def config(**parameters: Any) -> EnvConfig:
+def config(**parameters):
     return EnvConfig.of(Context("close_loop", TASK), parameters)
 
 
-def open_loop(surface: str = "flat", **parameters: Any) -> EnvConfig:
+def open_loop(surface="flat", **parameters):
     return EnvConfig.of(Context("open_loop", TASK, surface), parameters)
 
 
-def test_defaults_are_the_papers() -> None:
+def test_defaults_are_the_papers():
     made = config()
-    assert made.workspace == WORKSPACE
+    assert made.workspace == WORKSPACE and made.home_height == 0.2
     assert (made.robot, made.action_sequence, made.max_steps, made.obs_size) == ("kuka", "pxyzr", 50, 128)
     assert made.object_scale_range == [0.8, 0.8] and made.num_objects == 2
     assert made.fast_mode and made.random_orientation and made.workspace_check == "point"
     assert config(**made.parameters()) == made
     assert set(made.parameters()) == set(PARAMETERS) - {"half_rotation", "in_hand_size"}
+    for surface, sequence, size in (("flat", "pxyr", 24), ("ramp", "pxyzrrr", 24), ("bump", "pxyzrrr", 40)):
+        made = open_loop(surface)
+        assert made.workspace == [[0.25, 0.65], [-0.2, 0.2], [0.0, 1.0]] and made.home_height == 0.4
+        assert (made.action_sequence, made.in_hand_size, made.obs_size) == (sequence, size, 128)
+        assert made.half_rotation and made.random_orientation and not made.close_loop_tray
+        assert open_loop(surface, **made.parameters()) == made
 
 
-@pytest.mark.parametrize(
-    ("surface", "sequence", "in_hand"),
-    [("flat", "pxyr", 24), ("tray", "pxyr", 24), ("ramp", "pxyzrrr", 24), ("bump", "pxyzrrr", 40)],
-)
-def test_open_loop_defaults_are_the_papers(surface: str, sequence: str, in_hand: int) -> None:
-    made = open_loop(surface)
-    assert made.workspace == [[0.25, 0.65], [-0.2, 0.2], [0.0, 1.0]]
-    assert (made.action_sequence, made.in_hand_size, made.obs_size) == (sequence, in_hand, 128)
-    assert made.half_rotation and made.fast_mode and made.random_orientation and not made.close_loop_tray
-    assert open_loop(surface, **made.parameters()) == made
-
-
-OPEN_LOOP_WRONG: dict[str, list[Any]] = {
+OPEN_LOOP_WRONG = {
     "action_sequence": ["pxyzr", "pxyrr", "xyz", "px", "pxyzrrrr", "", None],
     "half_rotation": [1, "yes", None],
     "in_hand_size": [0, 7, 300, 24.0, True],
@@ -63,31 +51,24 @@ OPEN_LOOP_WRONG: dict[str, list[Any]] = {
 }
 
 
-@pytest.mark.parametrize("name", OPEN_LOOP_WRONG)
-def test_wrong_open_loop_values_are_refused(name: str) -> None:
-    for value in OPEN_LOOP_WRONG[name]:
-        with pytest.raises(ParameterError, match=rf"^{name} must .*, got ") as error:
-            open_loop(**{name: value})
-        assert ("close-loop" in str(error.value)) == (name in ("close_loop_tray", "view"))
-
-
-@pytest.mark.parametrize(
-    ("name", "hint"),
-    [("obs_sise", "'obs_size'"), ("frameskip", "robot, action_sequence, "), ("half_rotation", "open-loop")],
-)
-def test_unknown_parameter_is_a_value_and_a_type_error(name: str, hint: str) -> None:
+def test_unknown_parameter_is_a_value_and_a_type_error():
     """Libraries catch the type; Gymnasium constructs the error again."""
-    with pytest.raises(ParameterError, match=f"^{name} must .*{hint}") as error:
-        config(**{name: 1})
-    copy = pickle.loads(pickle.dumps(error.value))
-    assert type(copy) is type(error.value) and str(copy) == str(error.value)
-    for make in (gymnasium.make, make_env):
-        with pytest.raises(TypeError, match=f"unexpected keyword argument '{name}'") as raised:
-            make(PICKING, **{name: 1})
-        assert isinstance(raised.value, ValueError) and PICKING in str(raised.value)
+    for name, hint in (
+        ("obs_sise", "'obs_size'"),
+        ("frameskip", "robot, action_sequence, "),
+        ("half_rotation", "open-loop"),
+    ):
+        with pytest.raises(ParameterError, match=f"^{name} must .*{hint}") as error:
+            config(**{name: 1})
+        copy = pickle.loads(pickle.dumps(error.value))
+        assert type(copy) is type(error.value) and str(copy) == str(error.value)
+        for make in (gymnasium.make, make_env):
+            with pytest.raises(TypeError, match=f"unexpected keyword argument '{name}'") as raised:
+                make(PICKING, **{name: 1})
+            assert isinstance(raised.value, ValueError) and PICKING in str(raised.value)
 
 
-WRONG: dict[str, list[Any]] = {
+WRONG = {
     "robot": [1, None],
     "randomization": [1, "heavy", ["light"], {"weight": 1.0}, {1: 1.0}],
     "action_sequence": ["pxy", "pxyzrr", "", "PXYZR", 5, None, ["p", "x", "y", "z", "r"]],
@@ -121,96 +102,45 @@ WRONG: dict[str, list[Any]] = {
 }
 
 
-@pytest.mark.parametrize("name", WRONG)
-def test_wrong_values_are_refused(name: str) -> None:
-    for value in WRONG[name]:
-        with pytest.raises(ParameterError) as error:
-            config(**{name: value})
-        assert str(error.value).startswith(f"{name} must be ") and ", got " in str(error.value)
-
-
-def test_every_parameter_is_tested_with_wrong_values() -> None:
+def test_wrong_values_of_every_parameter_are_refused():
     assert {*WRONG, *OPEN_LOOP_WRONG} == set(PARAMETERS)
+    for make, wrong in ((config, WRONG), (open_loop, OPEN_LOOP_WRONG)):
+        for name, value in [(name, value) for name, values in wrong.items() for value in values]:
+            with pytest.raises(ParameterError, match=rf"^{name} must .*, got ") as error:
+                make(**{name: value})
+            if make is open_loop:
+                assert ("close-loop" in str(error.value)) == (name in ("close_loop_tray", "view"))
 
 
-def test_smallest_workspace_is_accepted_despite_rounding() -> None:
-    for x in ([0.4, 0.44], [0.3, 0.34], [0.6, 0.64]):
-        assert config(workspace=[x, [-0.02, 0.02], [0.01, 0.25]]).workspace[0] == x
-
-
-@pytest.mark.parametrize(
-    ("control", "z", "height"),
-    [
-        ("close_loop", [0.01, 0.25], 0.2),
-        ("close_loop", [0.01, 0.16], 0.16),
-        ("open_loop", [0.0, 1.0], 0.4),
-        ("open_loop", [0.05, 0.5], 0.45),
-    ],
-)
-def test_default_home_height_is_within_the_workspace(control: str, z: list[float], height: float) -> None:
-    assert default_home_height(control, [*WORKSPACE[:2], z]) == pytest.approx(height)
-
-
-# Combinations of parameters
-
-
-def square(low: float, high: float, *z: float) -> list[list[float]]:
+def square(low, high, *z):
     """Return a workspace between two x, with y around 0."""
     half = (high - low) / 2.0
     return [[low, high], [-half, half], list(z)]
 
 
 LOW = square(0.3, 0.6, 0.01, 0.11)
-COMBINATIONS: list[tuple[str, dict[str, Any], str | None]] = [
+COMBINATIONS = [
     ("CloseLoopBlockPicking", {"num_objects": 3}, "num_objects"),
     ("CloseLoopBlockPulling", {"num_objects": 1}, "num_objects"),
     ("CloseLoopBlockPicking", {"robot": "nobody"}, "robot"),
-    ("CloseLoopBlockPicking", {"object_scale_range": 0.05}, "object_scale_range"),
     ("OpenLoopCovidTest", {"object_scale_range": 0.86}, "object_scale_range"),
     ("CloseLoopBlockStacking", {"object_scale_range": 1.5, "num_objects": 4}, "num_objects"),
     ("CloseLoopBlockPicking", {"object_scale_range": 2.0, "robot": "ur5_robotiq"}, "object_scale_range"),
-    ("CloseLoopBlockPicking", {"object_scale_range": 1.54, "robot": "ur5"}, "object_scale_range"),
     ("CloseLoopBlockPicking", {"object_scale_range": 1.46, "robot": "ur5"}, None),
     ("CloseLoopBlockPushing", {"object_scale_range": 2.0, "robot": "ur5"}, None),
-    ("OpenLoopBoxPalletizing", {"object_scale_range": 1.6, "robot": "panda"}, "object_scale_range"),
     ("CloseLoopBlockPicking", {"workspace": square(0.3, 0.6, 0.01, 0.15)}, "workspace"),
     ("CloseLoopBlockPicking", {"workspace": square(0.3, 0.6, 0.01, 0.16)}, None),
-    ("CloseLoopBlockPicking", {"workspace": square(0.3, 0.6, 0.05, 0.25)}, "workspace"),
-    ("CloseLoopBlockPicking", {"workspace": square(0.3, 0.6, 0.04, 0.25)}, None),
     ("OpenLoopBlockStacking", {"workspace": square(0.3, 0.6, 0.0, 0.0155)}, "workspace"),
-    ("OpenLoopBoxPalletizing", {"workspace": square(0.25, 0.65, 0.0, 0.02)}, "workspace"),
     ("OpenLoopBlockStacking", {"workspace": square(0.6, 0.9, 0.0, 1.0)}, "workspace"),
     ("CloseLoopBlockPicking", {"home_height": 0.26}, "home_height"),
-    ("CloseLoopBlockPicking", {"home_height": 0.04}, "home_height"),
     ("OpenLoopBlockStacking", {"home_height": 0.02}, "home_height"),
-    ("OpenLoopBlockStacking", {"home_height": 2.0}, "home_height"),
     ("CloseLoopBlockPicking", {"lift_height": 0.25}, "lift_height"),
     ("CloseLoopBlockPulling", {"lift_height": 0.1}, "lift_height"),
     ("CloseLoopBlockPicking", {"lift_height": 0.12, "workspace": LOW}, "lift_height"),
     ("CloseLoopCornerPicking", {"close_loop_tray": True}, "close_loop_tray"),
     ("CloseLoopObjectGrasping", {"close_loop_tray": False}, "close_loop_tray"),
-]
-
-
-@pytest.mark.parametrize(("name", "parameters", "refused"), COMBINATIONS, ids=str)
-def test_combination_is_accepted_or_the_parameter_is_named(
-    name: str, parameters: dict[str, Any], refused: str | None
-) -> None:
-    if refused is None:
-        make_env(f"BulletArm/{name}-v0", obs_size=16, **parameters).close()
-        return
-    value = re.escape(str(parameters[refused]).strip("[]"))
-    with pytest.raises(ParameterError, match=rf"^{refused} must .*, got .*{value}"):
-        make_env(f"BulletArm/{name}-v0", obs_size=16, **parameters)
-
-
-NARROW = [[0.36, 0.6], [-0.09, 0.15], [0.01, 0.25]]
-ROOM: list[tuple[str, dict[str, Any], str | None]] = [
-    ("CloseLoopBlockPulling", {"object_scale_range": [0.8, 0.96]}, None),
-    ("CloseLoopBlockPulling", {"workspace": NARROW}, None),
+    ("CloseLoopBlockPulling", {"workspace": [[0.36, 0.6], [-0.09, 0.15], [0.01, 0.25]]}, None),
     ("CloseLoopBlockStacking", {"num_objects": 4, "object_scale_range": [0.8, 1.1]}, None),
-    ("CloseLoopHouseBuilding", {"num_objects": 4, "object_scale_range": 1.2}, "object_scale_range"),
-    ("CloseLoopHouseBuilding", {"num_objects": 3, "object_scale_range": 1.2}, None),
     ("CloseLoopBlockInBowl", {"object_scale_range": 1.2}, None),
     ("OpenLoopCovidTest", {"workspace": [[0.35, 0.6], [-0.1, 0.15], [0.0, 1.0]]}, "workspace"),
     ("OpenLoopObjectGrasping", {"workspace": square(0.4, 0.5, 0, 1), "num_objects": 4}, "num_objects"),
@@ -218,51 +148,41 @@ ROOM: list[tuple[str, dict[str, Any], str | None]] = [
 ]
 
 
-@pytest.mark.parametrize(("name", "parameters", "refused"), ROOM, ids=str)
-def test_reset_finds_space_or_names_the_parameter(
-    name: str, parameters: dict[str, Any], refused: str | None
-) -> None:
-    env = make_env(f"BulletArm/{name}-v0", obs_size=16, **parameters)
-    if refused is None:
-        for seed in range(10):
+@pytest.mark.parametrize(("name", "parameters", "refused"), COMBINATIONS, ids=str)
+def test_combination_is_accepted_or_the_parameter_is_named(name, parameters, refused):
+    """At the latest by a reset that finds no space."""
+    value = re.escape(str(parameters.get(refused)).strip("[]"))
+    expected = pytest.raises((ParameterError, PlacementError), match=rf"{refused}.* must .*, got .*{value}")
+    with nullcontext() if refused is None else expected:
+        env = make_env(f"BulletArm/{name}-v0", obs_size=16, **parameters)
+        for seed in range(5):
             env.reset(seed=seed)
-    else:
-        with pytest.raises(PlacementError, match=rf"^.*{refused}.* must leave room .*, got "):
-            for seed in range(3):
-                env.reset(seed=seed)
 
 
-@pytest.mark.parametrize(
-    ("name", "given", "kept"),
-    [
+def test_array_likes_are_kept_as_plain_values():
+    for name, given, kept in (
         ("workspace", np.array(WORKSPACE), WORKSPACE),
         ("object_scale_range", (0.6, 1), [0.6, 1.0]),
         ("object_scale_range", 1, [1.0, 1.0]),
         ("max_steps", np.int64(9), 9),
-        ("home_height", 1, 1.0),
         ("fast_mode", np.bool_(False), False),
-        ("render_size", 64, [64, 64]),
         ("render_size", np.array([64, 48]), [64, 48]),
+        ("randomization", Randomization(object_mass=(0.5, 2.0)), {"object_mass": [0.5, 2.0]}),
         ("render_camera", {"position": np.ones(3)}, {"position": [1.0, 1.0, 1.0]}),
-        ("action_sequence", "zyxp", "zyxp"),
-    ],
-    ids=str,
-)
-def test_array_likes_are_kept_as_plain_values(name: str, given: Any, kept: Any) -> None:
-    value = getattr(config(**{name: given}), name)
-    assert value == kept and type(value) is type(kept)
+    ):
+        value = getattr(config(**{name: given}), name)
+        assert value == kept and type(value) is type(kept)
 
 
-def test_scales_are_a_grid_with_both_ends() -> None:
+def test_scales_are_a_grid_with_both_ends():
     assert config(object_scale_range=[0.6, 0.7]).scales == [0.6, 0.62, 0.64, 0.66, 0.68, 0.7]
-    assert config(object_scale_range=0.6).scales == [0.6]
     for low, high in ((0.6, 0.63), (0.6, 0.61), (0.5, 0.535)):
         scales = config(object_scale_range=[low, high]).scales
         assert scales[0] == low and scales[-1] == high
         assert scales == sorted(set(scales)), "each once, in order, none beyond the end"
 
 
-def test_configurations_share_no_values() -> None:
+def test_configurations_share_no_values():
     for workspace in ([list(row) for row in WORKSPACE], np.array(WORKSPACE)):
         made = config(workspace=workspace)
         made.workspace[0][0] = 9.0

@@ -11,7 +11,6 @@ import platform
 from contextlib import closing
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import llvmlite.binding
 import numpy as np
@@ -30,7 +29,7 @@ TOLERANCE = 0.01
 LIBRARIES = ("numpy", "numba", "pybullet", "gymnasium")
 
 
-def here() -> dict[str, str]:
+def here():
     """Return what the bits depend on."""
     return {
         "machine": platform.machine(),
@@ -40,12 +39,12 @@ def here() -> dict[str, str]:
     }
 
 
-def digests_of(env_id: str) -> list[list[str]]:
+def digests_of(env_id):
     with closing(make_env(env_id)) as env:
         return [transcript(env, 20, seed=seed, action_seed=seed) for seed in SEEDS]
 
 
-def values_of(env_id: str) -> list[list[float]]:
+def values_of(env_id):
     """Return mean observations, action and reward of the first steps of the expert."""
     rows = []
     with closing(make_env(env_id)) as env:
@@ -60,12 +59,12 @@ def values_of(env_id: str) -> list[list[float]]:
     return rows
 
 
-def recordings() -> list[dict[str, Any]]:
+def recordings():
     """Return the digests of each machine on which some were recorded."""
     return list(json.loads(DIGESTS.read_text())) if DIGESTS.exists() else []
 
 
-def test_digests_are_those_recorded_on_this_machine(env_id: str) -> None:
+def test_digests_are_those_recorded_on_this_machine(env_id):
     known = next((one["rollouts"] for one in recordings() if one["recorded_on"] == here()), {})
     if env_id not in known and any(env_id in one["rollouts"] for one in recordings()):
         pytest.skip(f"recorded on {[one['recorded_on'] for one in recordings()]}, this is {here()}")
@@ -74,18 +73,18 @@ def test_digests_are_those_recorded_on_this_machine(env_id: str) -> None:
     )
 
 
-def test_values_are_those_recorded_on_any_machine(env_id: str) -> None:
+def test_values_are_those_recorded_on_any_machine(env_id):
     expected = json.loads(VALUES.read_text())[env_id]
     np.testing.assert_allclose(values_of(env_id), expected, atol=TOLERANCE)
 
 
-def write(path: Path, content: Any, indent: int | None = None) -> None:
+def write(path, content, indent=None):
     temporary = path.with_suffix(".part")
     temporary.write_text(json.dumps(content, indent=indent) + "\n")
     os.replace(temporary, path)
 
 
-def record() -> None:
+def record():
     """Record the environments that have no digests on this machine, or no values."""
     content = recordings()
     mine = next((one for one in content if one["recorded_on"] == here()), None)

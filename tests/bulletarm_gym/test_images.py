@@ -1,28 +1,21 @@
 """Images: heightmaps of closed-loop control, cameras, and colour, depth and segmentation sensors."""
 
 import math
-from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
 from unittest.mock import MagicMock
 
 import gymnasium
 import numpy as np
 import pytest
 from gymnasium.wrappers import RenderCollection
-from numpy.typing import NDArray
-from rollouts import PICKING, Make, make_env
+from rollouts import PICKING, make_env
 
-from bulletarm_gym.config import ParameterError
-from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import Pose, euler_pose, matrix
 from bulletarm_gym.objects.solids import block
-from bulletarm_gym.observations import Window
 from bulletarm_gym.observations.cameras import Viewer, side_cameras
 from bulletarm_gym.observations.images import FINGER_COLOUR, GRIPPER
-from bulletarm_gym.observations.rasterizer import project_points
 from bulletarm_gym.simulation import BodySpec, Camera, World
 from bulletarm_gym.simulation.shapes import RED
 from bulletarm_gym.simulation.state import PHYSICS_MODES
@@ -33,33 +26,28 @@ RESOLUTION = EXTENT / SIZE
 CAMERA_OFFSET, FINGER = 0.1, 0.021
 
 
-def look(env: ManipulationEnv, hand: Pose, cube: Pose) -> np.ndarray:
+def look(env, hand, cube):
     """Return the heightmap with the open gripper and the cube at poses."""
     env.scene.robot.home(hand)
     env.scene["cube"].place(cube)
     return env.observe()["heightmap"][0]
 
 
-def raised(image: np.ndarray) -> np.ndarray:
+def raised(image):
     """Return the mask of pixels above the floor."""
     return (image > 0) & (image < image.max() - 0.01)
 
 
-def centroid(mask: np.ndarray, extent: float = EXTENT) -> np.ndarray:
+def centroid(mask, extent=EXTENT):
     """Return the mean offset (m) in x and y of the masked pixels from the centre of the image."""
     assert mask.any()
     return (np.argwhere(mask).mean(axis=0) - (len(mask) - 1) / 2) * extent / len(mask)
 
 
-@pytest.fixture
-def scene(picking: ManipulationEnv) -> ManipulationEnv:
-    picking.reset(seed=0)
-    return picking
-
-
-@pytest.mark.parametrize("height", [0.08, 0.16, 0.25, 0.35])
-def test_depth_is_metric_and_clipped(scene: ManipulationEnv, height: float) -> None:
-    image = look(scene, Pose.planar(0.45, 0.0, height), Pose.planar(0.52, 0.06, 0.025, 0.3))
+@pytest.mark.parametrize("height", [0.08, 0.25, 0.35])
+def test_depth_is_metric_and_clipped(make, height):
+    env = make(PICKING, seed=0)
+    image = look(env, Pose.planar(0.45, 0.0, height), Pose.planar(0.52, 0.06, 0.025, 0.3))
     assert image.max() == pytest.approx(min(height + CAMERA_OFFSET, 0.4), abs=1e-6)
     row, column = (round((SIZE - 1) / 2 + offset / RESOLUTION) for offset in (0.07, 0.06))
     assert image[row, column] == pytest.approx(min(height + CAMERA_OFFSET - 0.05, 0.4), abs=1e-6)
@@ -67,18 +55,18 @@ def test_depth_is_metric_and_clipped(scene: ManipulationEnv, height: float) -> N
         assert raised(image).sum() * RESOLUTION**2 == pytest.approx(0.05**2, rel=0.05)
 
 
-@pytest.mark.parametrize("offset", [(0.1, 0.0), (-0.08, 0.0), (0.0, 0.12), (0.09, -0.13)])
-def test_image_is_centred_on_the_fingertips(scene: ManipulationEnv, offset: tuple[float, float]) -> None:
+def test_image_is_centred_on_the_fingertips_and_larger_than_the_workspace(make):
     """Rows grow with x, columns with y."""
-    for hand in ((0.45, 0.0), (0.37, 0.08)):
+    env = make(PICKING, seed=0)
+    for hand, offset in (
+        ((0.45, 0.0), (0.1, 0.0)),
+        ((0.45, 0.0), (0.0, 0.12)),
+        ((0.37, 0.08), (0.09, -0.13)),
+    ):
         cube = Pose.planar(hand[0] + offset[0], hand[1] + offset[1], 0.025, 0.2)
-        image = look(scene, Pose.planar(*hand, 0.2, math.pi / 4), cube)
+        image = look(env, Pose.planar(*hand, 0.2, math.pi / 4), cube)
         np.testing.assert_allclose(centroid(raised(image)), offset, atol=RESOLUTION / 2)
-
-
-def test_image_has_one_and_a_half_times_the_size_of_the_workspace(make: Make) -> None:
-    env = make(PICKING, obs_size=32, workspace=[[0.3, 0.5], [-0.1, 0.1], [0.01, 0.25]])
-    env.reset(seed=0)
+    env = make(PICKING, obs_size=32, workspace=[[0.3, 0.5], [-0.1, 0.1], [0.01, 0.25]], seed=0)
     image = look(env, Pose.planar(0.4, 0.0, 0.2), Pose.planar(0.5, 0.0, 0.025))
     assert image.shape == (32, 32)
     np.testing.assert_allclose(centroid(raised(image), 0.3), (0.1, 0.0), atol=0.3 / 64)
@@ -86,30 +74,31 @@ def test_image_has_one_and_a_half_times_the_size_of_the_workspace(make: Make) ->
 
 @pytest.mark.parametrize("yaw", [0.0, 0.6, -1.0])
 @pytest.mark.parametrize("ratio", [1.0, 0.5])
-def test_gripper_is_two_squares(scene: ManipulationEnv, yaw: float, ratio: float) -> None:
+def test_gripper_is_two_squares(make, yaw, ratio):
     """The arm and the rest of the gripper are not rendered."""
-    scene.scene.robot.home(Pose.planar(0.45, 0.0, 0.06, yaw))
-    scene.scene["cube"].park()
-    scene.scene.robot.set_opening(ratio)
-    image = scene.observe()["heightmap"][0]
+    env = make(PICKING, seed=0)
+    env.scene.robot.home(Pose.planar(0.45, 0.0, 0.06, yaw))
+    env.scene["cube"].park()
+    env.scene.robot.set_opening(ratio)
+    image = env.observe()["heightmap"][0]
     squares = image == 0.0
     assert np.isclose(image[~squares], image.max(), atol=1e-6).all()
     axis = np.array([math.cos(yaw), math.sin(yaw)])
     along = np.zeros(image.shape)
     along[squares] = (np.argwhere(squares) - (SIZE - 1) / 2) @ axis
-    reach = (scene.scene.robot.opening + FINGER) / 2
+    reach = (env.scene.robot.opening + FINGER) / 2
     for side, sign in ((along > 0, 1.0), (along < 0, -1.0)):
         np.testing.assert_allclose(centroid(side), sign * reach * axis, atol=RESOLUTION / 2)
         assert side.sum() * RESOLUTION**2 == pytest.approx(FINGER**2, rel=0.2)
 
 
-def test_grasped_object_is_visible(scene: ManipulationEnv) -> None:
-    scene.reset(seed=3)
-    while scene.scene.held is None:
-        scene.step(scene.expert_action())
-    observation, *_ = scene.step([-1.0, 0.0, 0.0, 1.0, 0.0])
+def test_grasped_object_is_visible(make):
+    env = make(PICKING, seed=3)
+    while env.scene.held is None:
+        env.step(env.expert_action())
+    observation, *_ = env.step([-1.0, 0.0, 0.0, 1.0, 0.0])
     assert observation["holding"].tolist() == [1.0]
-    hand, cube = scene.scene.robot.pose, scene.scene["cube"].pose
+    hand, cube = env.scene.robot.pose, env.scene["cube"].pose
     middle = observation["heightmap"][0, SIZE // 2, SIZE // 2]
     assert middle == pytest.approx(hand.z + CAMERA_OFFSET - (cube.z + 0.025), abs=2e-3)
 
@@ -117,18 +106,8 @@ def test_grasped_object_is_visible(scene: ManipulationEnv) -> None:
 # The view "point_cloud"
 
 
-def test_highest_point_of_a_pixel_counts_and_a_hole_gets_the_nearest_value() -> None:
-    points = np.array([[0.05, 0.05, 0.01], [0.95, 0.95, 0.02]])
-    image = project_points(points, Window((0.5, 0.5), 1.0, 10), ceiling=1.0)
-    assert image[3, 3] == np.float32(0.01) and image[7, 7] == np.float32(0.02)
-    assert not project_points(np.empty((0, 3)), Window((0.0, 0.0), 1.0, 4), ceiling=1.0).any()
-    points = np.array([[0.1, 0.1, 0.02], [0.1, 0.1, 0.05], [0.3, 0.1, 0.01], [0.1, 0.1, 0.5]])
-    image = project_points(points, Window((0.2, 0.2), 0.4, 2), ceiling=0.3)
-    assert image[:, 0].tolist() == [np.float32(0.05), np.float32(0.01)]
-
-
 @pytest.mark.parametrize("name", ["BlockPicking", "BlockPushing"])
-def test_point_cloud_view_agrees_with_the_orthographic_view(make: Make, name: str) -> None:
+def test_point_cloud_view_agrees_with_the_orthographic_view(make, name):
     """Within a millimetre except at edges, and where the arm hides something from both cameras."""
     env_id = f"BulletArm/CloseLoop{name}-v0"
     first, second = (make(env_id, view=view) for view in ("orthographic", "point_cloud"))
@@ -148,10 +127,8 @@ TOP = ["heightmap", "color", "segmentation"]
 EXACT = 5e-6
 """Error (m) of a depth that the rasterizer's 32-bit depth buffer explains."""
 
-# Geometry
 
-
-def test_intrinsics_and_extrinsics_give_the_point_of_a_pixel() -> None:
+def test_intrinsics_and_extrinsics_give_the_point_of_a_pixel():
     """The camera looks at a large plate, whose upper side is the plane z = 0 of a tilted frame."""
     world, pose = World(PHYSICS_MODES["fast"]), euler_pose((0.1, -0.05, 0.02), (0.3, -0.2, 0.0))
     world.add(BodySpec("plate", (block((6.0, 6.0, 0.1), (0.0, 0.0, -0.05)),), mass=0.0), pose)
@@ -168,37 +145,30 @@ def test_intrinsics_and_extrinsics_give_the_point_of_a_pixel() -> None:
         assert camera.project(tuple(point)) == pytest.approx((column, row), abs=1e-4)
 
 
-# Default cameras
-
 WORKSPACES = [
-    None,
+    [[0.3, 0.6], [-0.15, 0.15], [0.01, 0.25]],
     [[-0.15, 0.15], [-0.6, -0.3], [0.01, 0.25]],
     [[0.44, 0.56], [-0.06, 0.06], [0.01, 0.25]],
-    [[0.2, 0.66], [-0.23, 0.23], [0.01, 0.25]],
 ]
 
 
-def corners(workspace: Sequence[Sequence[float]]) -> list[tuple[float, float, float]]:
-    return [(x, y, 0.0) for x in workspace[0] for y in workspace[1]]
+def of_colour(image, colour):
+    """Return the mask of the pixels of (3, size, size) that have a colour."""
+    return (image == np.rint(255 * np.array(colour[:3]))[:, None, None]).all(axis=0)
 
 
-def red_pixels(image: NDArray[np.uint8]) -> NDArray[np.int64]:
-    """Return rows and columns of the pixels of an image (height, width, 3) that show the red cube."""
+def red_pixels(image):
+    """Return the number of pixels of an image (height, width, 3) that show the red cube."""
     red, green, _ = np.moveaxis(image.astype(int), -1, 0)
-    return np.argwhere((red > 2.5 * green) & (red > 80))
+    return np.count_nonzero((red > 2.5 * green) & (red > 80))
 
 
 @pytest.mark.parametrize("robot", ["kuka", "ur5_robotiq"])
 @pytest.mark.parametrize("workspace", WORKSPACES, ids=str)
-def test_default_cameras_show_the_workspace(workspace: Any, robot: str) -> None:
+def test_default_cameras_show_the_workspace(workspace, robot):
     """The corners of the floor and the cube are visible, and the floor fills a share of the width."""
-    chosen = {} if workspace is None else {"workspace": workspace}
-    try:
-        env = make_env(PICKING, robot=robot, observation=["rgb"], **chosen)
-    except ParameterError as error:
-        assert "reaches" in str(error)
-        pytest.skip(f"{robot} does not reach {workspace}")
-    with closing(env):
+    corners = [(x, y, 0.0) for x in workspace[0] for y in workspace[1]]
+    with closing(make_env(PICKING, robot=robot, observation=["rgb"], workspace=workspace)) as env:
         env.reset(seed=0)
         x, y = env.config.centre
         env.scene.robot.home(Pose.planar(x, y, 0.2))
@@ -206,32 +176,28 @@ def test_default_cameras_show_the_workspace(workspace: Any, robot: str) -> None:
         for name, share in (("render", 0.12), ("rgb", 0.3)):
             camera = env.cameras[name]
             width, height = camera.camera.width, camera.camera.height
-            pixels = np.array([camera.camera.project(corner) for corner in corners(env.config.workspace)])
+            pixels = np.array([camera.camera.project(corner) for corner in corners])
             assert (pixels >= 0).all() and (pixels <= (width - 1, height - 1)).all(), name
             assert np.ptp(pixels[:, 0]) > share * width, name
-            assert len(red_pixels(camera.color())) > 1e-3 * width * height, name
-        assert len(red_pixels(env.viewer.close_up(84))) > 1e-3 * 84 * 84
-        for side in side_cameras(env.config, 100):
-            pixels = np.array([side.project(corner) for corner in corners(env.config.workspace)])
-            assert (pixels > 0).all() and (pixels < 99).all()
+            assert red_pixels(camera.color()) > 1e-3 * width * height, name
+        assert red_pixels(env.viewer.close_up(84)) > 1e-3 * 84 * 84
+        pixels = np.array([side.project(at) for side in side_cameras(env.config, 100) for at in corners])
+        assert (pixels > 0).all() and (pixels < 99).all()
 
 
-# Parameters of render()
-
-
-def test_render_size_and_render_camera() -> None:
+def test_render_size_and_render_camera():
     top = {"position": [0.75, 0.0, 1.2], "target": [0.45, 0.0, 0.0], "fov": 30}
     kwargs = {"render_mode": "rgb_array", "render_size": [96, 64], "render_camera": top}
     env = RenderCollection(gymnasium.make(PICKING, **kwargs))
     env.reset(seed=0)
     env.step(env.action_space.sample())
-    frames: Any = env.render()
-    assert [frame.shape for frame in frames] == [(64, 96, 3)] * 2 and len(red_pixels(frames[0]))
-    camera = env.unwrapped.cameras["render"].camera  # type: ignore[attr-defined]
+    frames = env.render()
+    assert [frame.shape for frame in frames] == [(64, 96, 3)] * 2 and red_pixels(frames[0])
+    camera = env.unwrapped.cameras["render"].camera
     assert camera.eye == (0.75, 0.0, 1.2) and camera.fov == 30.0
 
 
-def test_depth_array_is_the_depth_of_the_render_camera(make: Make) -> None:
+def test_depth_array_is_the_depth_of_the_render_camera(make):
     plain = make(PICKING)
     narrow = make(PICKING, render_camera={"fov": 20}, render_size=32, render_mode="depth_array")
     first, second = plain.cameras["render"].camera, narrow.cameras["render"].camera
@@ -240,17 +206,8 @@ def test_depth_array_is_the_depth_of_the_render_camera(make: Make) -> None:
     np.testing.assert_array_equal(narrow.render(), narrow.cameras["render"].depth())
 
 
-def test_render_camera_must_not_be_at_its_target() -> None:
-    camera = {"position": [0.4, 0.0, 0.1], "target": [0.4, 0.0, 0.1]}
-    with pytest.raises(ParameterError, match=r"render_camera: target must be .*got \[0\.4, 0\.0, 0\.1\]"):
-        make_env(PICKING, render_camera=camera)
-
-
-# Cameras of sensors
-
-
 @pytest.mark.parametrize("env_id", [PICKING, STACKING])
-def test_wrist_camera_moves_with_the_gripper(make: Make, env_id: str) -> None:
+def test_wrist_camera_moves_with_the_gripper(make, env_id):
     mounted = {"mount": "wrist", "size": [64, 48]}
     sensors = [{"name": "wrist", "sensor": "rgb", **mounted}, {"name": "depth", **mounted}]
     env = make(env_id, observation=sensors)
@@ -267,9 +224,8 @@ def test_wrist_camera_moves_with_the_gripper(make: Make, env_id: str) -> None:
     np.testing.assert_array_equal(env.observe()["depth"][0], env.cameras["depth"].depth())
 
 
-def test_point_cloud_measures_the_cube(make: Make) -> None:
-    env = make(PICKING, observation=["heightmap", {"name": "point_cloud", "points": 4000}])
-    env.reset(seed=0)
+def test_point_cloud_measures_the_cube(make):
+    env = make(PICKING, observation=["heightmap", {"name": "point_cloud", "points": 4000}], seed=0)
     env.scene.robot.home(Pose.planar(0.38, -0.08, 0.2))
     cube = Pose.planar(0.5, 0.06, 0.025, 0.3)
     env.scene["cube"].place(cube)
@@ -285,14 +241,8 @@ def test_point_cloud_measures_the_cube(make: Make) -> None:
 # Color and segmentation
 
 
-def of_colour(image: np.ndarray, colour: Sequence[float]) -> np.ndarray:
-    """Return the mask of the pixels of (3, size, size) that have a colour."""
-    return (image == np.rint(255 * np.array(colour[:3]))[:, None, None]).all(axis=0)
-
-
-def test_color_and_segmentation_show_the_cube_and_the_fingers(make: Make) -> None:
-    env = make(PICKING, observation=TOP)
-    env.reset(seed=0)
+def test_color_and_segmentation_show_the_cube_and_the_fingers(make):
+    env = make(PICKING, observation=TOP, seed=0)
     images = []
     for turn, x, y in ((0.0, 0.07, 0.06), (math.pi / 2, -0.06, 0.07)):
         env.scene.robot.home(Pose.planar(0.45, 0.0, 0.2, 0.4 + turn))
@@ -301,18 +251,16 @@ def test_color_and_segmentation_show_the_cube_and_the_fingers(make: Make) -> Non
     first, second = images
     numbers, color = first["segmentation"][0], first["color"]
     cube, fingers = of_colour(color, RED), of_colour(color, np.array(FINGER_COLOUR) / 255)
-    assert np.array_equal(fingers, first["heightmap"][0] == 0.0) and np.array_equal(
-        fingers, numbers == GRIPPER
-    )
-    assert np.array_equal(cube, numbers == 1)
-    assert np.array_equal(of_colour(color, FLOOR.colour), ~cube & ~fingers)
-    centroid = (np.argwhere(cube).mean(axis=0) - (SIZE - 1) / 2) * EXTENT / SIZE
-    np.testing.assert_allclose(centroid, (0.07, 0.06), atol=EXTENT / SIZE / 2)
+    for mask in (first["heightmap"][0] == 0.0, numbers == GRIPPER):
+        np.testing.assert_array_equal(mask, fingers)
+    np.testing.assert_array_equal(cube, numbers == 1)
+    np.testing.assert_array_equal(of_colour(color, FLOOR.colour), ~cube & ~fingers)
+    np.testing.assert_allclose(centroid(cube), (0.07, 0.06), atol=RESOLUTION / 2)
     for name in TOP:
         assert (np.rot90(first[name], 1, axes=(1, 2)) != second[name]).mean() < 1e-3, name
 
 
-def test_open_loop_segmentation_numbers_slots_and_omits_the_grasped_object(make: Make) -> None:
+def test_open_loop_segmentation_numbers_slots_and_omits_the_grasped_object(make):
     env = make(STACKING, observation=[*TOP, "holding"], object_scale_range=[0.6, 0.7])
     for seed in range(2):
         before, _ = env.reset(seed=seed)
@@ -323,17 +271,11 @@ def test_open_loop_segmentation_numbers_slots_and_omits_the_grasped_object(make:
     assert set(np.unique(after["segmentation"])) == {0, 1, 2, 3, 4} - {held}
 
 
-# The window
-
-
-def test_pressed_keys_are_those_that_went_down() -> None:
+def test_pressed_keys_are_those_that_went_down():
     client = SimpleNamespace(KEY_IS_DOWN=1, KEY_WAS_TRIGGERED=2, KEY_WAS_RELEASED=4)
     client.COV_ENABLE_KEYBOARD_SHORTCUTS = client.configureDebugVisualizer = MagicMock()
-    config = SimpleNamespace(render_mode="rgb_array")
-    viewer = Viewer(SimpleNamespace(config=config, world=SimpleNamespace(client=client)))
-    with pytest.raises(RuntimeError, match=r"^render_mode must be 'human'"):
-        viewer.pressed_keys()
-    config.render_mode, shift, tapped = "human", 65306, 4
+    config, world = SimpleNamespace(render_mode="human"), SimpleNamespace(client=client)
+    viewer, shift, tapped = Viewer(SimpleNamespace(config=config, world=world)), 65306, 4
     for events, pressed in (
         ({"w": 3, "a": tapped, ".": 2, "q": 6}, [".", "a", "q", "w"]),
         ({"w": 1}, []),
@@ -343,4 +285,3 @@ def test_pressed_keys_are_those_that_went_down() -> None:
         found = {shift: 3, **{ord(key): event for key, event in events.items()}}
         client.getKeyboardEvents = lambda found=found: found
         assert viewer.pressed_keys() == pressed
-    client.configureDebugVisualizer.assert_called_once_with(client.COV_ENABLE_KEYBOARD_SHORTCUTS, 0)

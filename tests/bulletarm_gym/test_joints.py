@@ -1,7 +1,6 @@
 """Sliding and rotating parts of fixed and of free bodies: geometry, physics and state."""
 
 import pickle
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ from bulletarm_gym.geometry import Pose, euler_pose
 from bulletarm_gym.objects.solids import block
 from bulletarm_gym.observations import HeightRenderer, Window
 from bulletarm_gym.scene.stability import settle
-from bulletarm_gym.simulation import Body, BodySpec, Box, Hinge, Piece, Slide, World
+from bulletarm_gym.simulation import BodySpec, Box, Hinge, Piece, Slide, World
 from bulletarm_gym.simulation.state import PHYSICS_MODES, REST_SPEED
 from bulletarm_gym.surfaces.surface import FLOOR
 
@@ -36,36 +35,31 @@ WALLS = (
 )
 
 
-def _world(mass: float) -> tuple[World, Body]:
+@pytest.fixture
+def boxed(mass):
     world = World(PHYSICS_MODES["fast"])
     world.add_plane(FLOOR)
     world.add(CUBE, Pose((0.3, 0.0, 0.02)))
     body = world.add(BodySpec("box", WALLS, mass, slides=(BOLT,), hinges=(LID,)), Pose((0.0, 0.0, 0.0)))
     world.add(CUBE)
     world.seal()
-    return world, body
-
-
-@pytest.fixture(params=[0.0, 0.3], ids=["fixed", "free"])
-def mass(request: pytest.FixtureRequest) -> float:
-    return float(request.param)
-
-
-@pytest.fixture
-def boxed(mass: float) -> Iterator[tuple[World, Body]]:
-    world, body = _world(mass)
     yield world, body
     world.close()
 
 
-def simulate(world: World, steps: int) -> None:
+@pytest.fixture(params=[0.0, 0.3], ids=["fixed", "free"])
+def mass(request):
+    return float(request.param)
+
+
+def simulate(world, steps):
     world.begin()
     world.step(steps)
     world.end()
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.4, 1.1, 1.9])
-def test_poses_of_parts_are_those_of_the_simulation(boxed: tuple[World, Body], angle: float) -> None:
+def test_poses_of_parts_are_those_of_the_simulation(boxed, angle):
     """The corners of each part are at the surface of its shape in Bullet."""
     world, body = boxed
     world.place(body, euler_pose((0.1, -0.2, 0.3), (0.3, -0.5, 1.0)))
@@ -80,7 +74,7 @@ def test_poses_of_parts_are_those_of_the_simulation(boxed: tuple[World, Body], a
             assert min(abs(point[8]) for point in points) < 1.5e-3
 
 
-def test_lid_falls_shut_and_a_brake_holds_it(boxed: tuple[World, Body]) -> None:
+def test_lid_falls_shut_and_a_brake_holds_it(boxed):
     world, body = boxed
     world.set_joints(body, (0.02, 0.6))
     assert body in world.loose_bodies
@@ -92,12 +86,16 @@ def test_lid_falls_shut_and_a_brake_holds_it(boxed: tuple[World, Body]) -> None:
     assert bolt == pytest.approx(0.02, abs=1e-3)
     assert world.poses[body.index].tilt < 0.02
     assert world.speed(body) < REST_SPEED and not world.has_motion
+    assert not world.contacts(body, body), "parts do not collide with their body"
     world.set_joints(body, (0.02, 1.5))
     simulate(world, 240)
     assert world.joints[body.index][1] == pytest.approx(1.5, abs=0.03), "nearly upright the brake is stronger"
+    world.park(body)
+    simulate(world, 10)
+    assert body not in world.loose_bodies
 
 
-def test_inertia_has_the_axes_of_the_pieces(mass: float) -> None:
+def test_inertia_has_the_axes_of_the_pieces(mass):
     """Two cubes of 2 cm that are 20 cm apart, in a plane that is oblique to the axes of the body."""
     frame = euler_pose((0.0, 0.0, 0.0), (0.3, 0.5, 0.7))
     ends = tuple(Piece(Box((0.02, 0.02, 0.02)), frame.compose(Pose((x, 0.0, 0.0)))) for x in (-0.1, 0.1))
@@ -113,30 +111,8 @@ def test_inertia_has_the_axes_of_the_pieces(mass: float) -> None:
     assert abs(np.dot(axis, found)) == pytest.approx(1.0, abs=1e-4)
 
 
-def test_parts_do_not_collide_with_their_body_or_with_each_other(mass: float) -> None:
-    def part(name: str) -> Slide:
-        return Slide(name, (Piece(Box((0.04, 0.04, 0.04))),), 0.1, axis=(1.0, 0.0, 0.0), limits=(-0.1, 0.1))
-
-    spec = BodySpec("body", (Piece(Box((0.05, 0.05, 0.05))),), mass, slides=(part("one"), part("other")))
-    world = World(PHYSICS_MODES["fast"])
-    body = world.add(spec, Pose((0.0, 0.0, 0.5)))
-    world.seal()
-    simulate(world, 5)
-    assert not world.contacts(body, body)
-
-
-def test_parked_parts_do_not_move(boxed: tuple[World, Body]) -> None:
-    world, body = boxed
-    world.park(body)
-    simulate(world, 10)
-    assert body not in world.loose_bodies
-    world.place(body, Pose((0.0, 0.0, 0.0)))
-    simulate(world, 60)
-    assert world.poses[body.index].z == pytest.approx(0.0, abs=2e-3)
-
-
 @pytest.mark.usefixtures("own_registrations")
-def test_door_of_the_example_repeats_exactly_and_is_rendered() -> None:
+def test_door_of_the_example_repeats_exactly_and_is_rendered():
     parameters = {"control": "close_loop", "obs_size": 16, "observation": ["heightmap", "state"]}
     first, second = (ManipulationEnv("door:DoorOpening", **parameters) for _ in range(2))
     first.reset(seed=0)

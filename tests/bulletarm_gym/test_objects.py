@@ -2,13 +2,12 @@
 
 import itertools
 import math
-from typing import Any
 
 import numpy as np
 import pytest
 
-from bulletarm_gym.geometry import FloatArray, Pose, euler_pose, mass_properties, matrix
-from bulletarm_gym.objects import BodySpec, create
+from bulletarm_gym.geometry import Pose, euler_pose, mass_properties, matrix
+from bulletarm_gym.objects import create
 from bulletarm_gym.objects.blocks import DRAWINGS, improvise_blocks, improvise_bricks
 from bulletarm_gym.objects.catalogue import KINDS, object_set
 from bulletarm_gym.objects.files import convex_hull
@@ -47,7 +46,7 @@ CATALOGUE = [create(kind, kind, SCALES.get(kind, 0.7)) for kind in KINDS]
 SPECS = [*CATALOGUE, *improvise_bricks("improvise brick", 0.6, 8), *improvise_blocks("random", 0.6, series=1)]
 
 
-def test_default_scales_give_the_papers_sizes() -> None:
+def test_default_scales_give_the_papers_sizes():
     for kind, (scale, extents, mass) in SIZES.items():
         spec = create(kind, "it", scale)
         assert spec.extents == pytest.approx(extents, abs=1e-9), kind
@@ -55,24 +54,24 @@ def test_default_scales_give_the_papers_sizes() -> None:
         assert create(kind, "it", 0.5 * scale).extents == pytest.approx(np.array(extents) / 2.0)
 
 
-def test_eight_bottles_of_about_5_by_5_by_14_cm() -> None:
+def test_eight_bottles_of_about_5_by_5_by_14_cm():
     sizes = np.array([create(f"bottle_{number}", str(number), 0.8).extents for number in range(8)])
     assert np.abs(sizes - (0.05, 0.05, 0.14)).max() < 0.008
     assert np.abs(sizes.mean(axis=0) - (0.05, 0.05, 0.14)).max() < 0.001
     assert len({tuple(row) for row in sizes.round(6).tolist()}) == 8
 
 
-def test_nineteen_random_blocks_of_one_layer() -> None:
+def test_nineteen_random_blocks_of_one_layer():
     assert len(set(DRAWINGS)) == 19
     for drawing, spec in zip(DRAWINGS, improvise_blocks("it", 0.6, series=0), strict=True):
         rows = drawing.split()
-        volume = sum(math.prod(piece.shape.extents) for piece in spec.pieces)  # type: ignore[union-attr]
+        volume = sum(math.prod(piece.shape.extents) for piece in spec.pieces)
         cell = spec.extents[0] / len(rows[0])
         assert volume == pytest.approx(drawing.count("#") * cell**2 * spec.extents[2])
         assert np.allclose(spec.mass_properties[0].position, 0.0, atol=1e-12)
 
 
-def test_random_sizes_stay_in_their_ranges_and_repeat() -> None:
+def test_random_sizes_stay_in_their_ranges_and_repeat():
     blocks = [spec.extents for series in range(4) for spec in improvise_blocks("it", 0.6, series)]
     assert blocks == [spec.extents for series in range(4) for spec in improvise_blocks("it", 0.6, series)]
     sizes, bricks = np.array(blocks), np.array([spec.extents for spec in improvise_bricks("it", 0.6, 50)])
@@ -82,7 +81,7 @@ def test_random_sizes_stay_in_their_ranges_and_repeat() -> None:
     assert bricks.max(axis=0) == pytest.approx((0.035, 0.14, 0.035), rel=0.1)
 
 
-def test_86_objects_to_grasp_fit_gripper_and_tray() -> None:
+def test_86_objects_to_grasp_fit_gripper_and_tray():
     specs = graspables()
     assert len({spec.name for spec in specs}) == len(specs) == 86 and object_set(None) is specs
     sides = np.array([sorted(spec.extents) for spec in specs])
@@ -91,7 +90,7 @@ def test_86_objects_to_grasp_fit_gripper_and_tray() -> None:
 
 
 @pytest.mark.parametrize("specs", [SPECS, graspables()], ids=["catalogue", "to grasp"])
-def test_pieces_are_convex_closed_and_few(specs: list[BodySpec]) -> None:
+def test_pieces_are_convex_closed_and_few(specs):
     for spec in specs:
         assert len(spec.pieces) <= (25 if spec.name == "bowl" else 9)
         for mesh in (piece.mesh for piece in spec.pieces):
@@ -105,7 +104,7 @@ def test_pieces_are_convex_closed_and_few(specs: list[BodySpec]) -> None:
             assert np.linalg.det(corners).sum() > 0.0
 
 
-def test_objects_rest_where_they_are_placed() -> None:
+def test_objects_rest_where_they_are_placed():
     world = World(PHYSICS_MODES["fast"])
     world.add_plane(FLOOR)
     for index, spec in enumerate(SPECS):
@@ -122,10 +121,7 @@ def test_objects_rest_where_they_are_placed() -> None:
         assert now.tilt - then.tilt < math.radians(7.0 if leans else 1.0), body.spec.name
 
 
-# Convex hulls of users' meshes
-
-
-def grid_box(size: FloatArray, squares: int) -> FloatArray:
+def grid_box(size, squares):
     """Return the vertices of a box whose faces are divided into squares."""
     steps = np.linspace(-0.5, 0.5, squares + 1)
     points = np.array(list(itertools.product(steps, steps, steps)))
@@ -134,7 +130,7 @@ def grid_box(size: FloatArray, squares: int) -> FloatArray:
 
 @pytest.mark.parametrize("noise", [0.0, 1e-9, 1e-7, 1e-6])
 @pytest.mark.parametrize("size", [(0.04, 0.05, 0.06), (0.1, 0.1, 1e-3)], ids=["box", "plate"])
-def test_hull_of_a_box_with_divided_faces_has_the_box_inertia(size: Any, noise: float) -> None:
+def test_hull_of_a_box_with_divided_faces_has_the_box_inertia(size, noise):
     rng, centre, tolerance = np.random.default_rng(0), np.array((0.1, -0.2, 0.3)), max(1e-9, 5000.0 * noise)
     for angles in rng.uniform(-3, 3, (4, 3)):
         points = grid_box(np.array(size), 8) @ matrix(euler_pose((0.0, 0.0, 0.0), tuple(angles))).T + centre

@@ -2,26 +2,18 @@
 
 import itertools
 import math
-from typing import Any
 
 import numpy as np
 import pytest
-from rollouts import Make, digest
+from rollouts import digest
+from scipy.spatial.transform import Rotation
 
+from bulletarm_gym import real_arm
 from bulletarm_gym.config import Context, EnvConfig
 from bulletarm_gym.control import PickPlace
-from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.geometry import FloatArray, Pose, euler_angles, matrix, wrap_angle
+from bulletarm_gym.geometry import Pose, euler_angles, matrix, wrap_angle
 from bulletarm_gym.observations import ElevationMap
 from bulletarm_gym.observations.cameras import SIDE_PIXELS, side_cameras
-from bulletarm_gym.real_arm import (
-    close_loop_heightmap,
-    in_hand_image,
-    measure_grasp,
-    open_loop_heightmap,
-    pick_height,
-    place_height,
-)
 
 STACKING = "BulletArm/OpenLoopBlockStacking-v0"
 CUBE = 0.03
@@ -29,13 +21,12 @@ CENTRE, EXTENT = (0.45, 0.0), 0.4
 
 
 @pytest.fixture
-def env(make: Make) -> ManipulationEnv:
-    env = make(STACKING)
-    env.reset(seed=0)
+def env(make):
+    env = make(STACKING, seed=0)
     return env
 
 
-def lay_out(env: ManipulationEnv, *poses: Pose) -> None:
+def lay_out(env, *poses):
     """Put the cubes at poses, and those without a pose aside, one on another."""
     env.reset(seed=0)
     aside = [Pose((0.28, -0.17, CUBE * (0.5 + k))) for k in range(4)]
@@ -43,27 +34,18 @@ def lay_out(env: ManipulationEnv, *poses: Pose) -> None:
         obj.place(pose)
 
 
-def act(env: ManipulationEnv, primitive: str, position: Any, rotation: Any = (0.0, 0.0, 0.0)) -> Any:
+def act(env, primitive, position, rotation=(0.0, 0.0, 0.0)):
     return env.step(env.encode_action(PickPlace(primitive, position, rotation)))
 
 
-def pick(env: ManipulationEnv, x: float, y: float) -> Any:
-    act(env, "pick", (x, y, 0.0))
-    assert env.scene.held is not None
-    return env.scene.held
-
-
-def height_at(env: ManipulationEnv, primitive: str, x: float, y: float) -> float:
+def height_at(env, primitive, x, y):
     """Return the decoded height (m) of a pick or place without z."""
     return float(env.decode_action(env.encode_action(PickPlace(primitive, (x, y, 0.0)))).position[2])
 
 
-# Actions
-
-
 @pytest.mark.parametrize("half", [True, False])
-@pytest.mark.parametrize("sequence", ["xy", "rxy", "ypx", "yprx", "xyzrrr", "rrrzyxp", "rxyrzpr"])
-def test_encode_inverts_decode(env: ManipulationEnv, sequence: str, half: bool) -> None:
+@pytest.mark.parametrize("sequence", ["xy", "yprx", "xyzrrr", "rxyrzpr"])
+def test_encode_inverts_decode(env, sequence, half):
     context = Context("open_loop", env.task.defaults)
     config = EnvConfig.of(context, {"action_sequence": sequence, "half_rotation": half})
     control, view = type(env.control)(config, env.control.robot, env.task.grasp_params), env.look()
@@ -78,7 +60,7 @@ def test_encode_inverts_decode(env: ManipulationEnv, sequence: str, half: bool) 
         assert again.dtype == np.float32 and control.decode_action(again, view).primitive == move.primitive
 
 
-def test_decode_returns_physical_units(make: Make) -> None:
+def test_decode_returns_physical_units(make):
     workspace = [[0.25, 0.65], [-0.2, 0.2], [0.05, 1.0]]
     env = make(STACKING, action_sequence="pxyzrrr", half_rotation=False, workspace=workspace)
     low, middle, high = (env.decode_action(np.full(7, value)) for value in (-1.0, 0.0, 1.0))
@@ -91,20 +73,17 @@ def test_decode_returns_physical_units(make: Make) -> None:
     assert [half.decode_action([0, 0, 0, r]).rotation[0] for r in (-1, 0.5)] == [0.0, 0.75 * math.pi]
 
 
-def test_rotations_are_about_z_then_the_rotated_y_then_the_rotated_x() -> None:
-    theta, phi, psi = 0.7, 0.4, -0.3
-    axes = [np.eye(3) for _ in range(3)]
-    for turn, (i, j), angle in zip(axes, ((0, 1), (2, 0), (1, 2)), (theta, phi, psi), strict=True):
-        turn[[i, j], [i, j]], turn[i, j], turn[j, i] = math.cos(angle), -math.sin(angle), math.sin(angle)
-    pose = PickPlace("pick", (0.0, 0.0, 0.0), (theta, phi, psi)).pose
-    np.testing.assert_allclose(matrix(pose), axes[0] @ axes[1] @ axes[2], atol=1e-12)
-    assert euler_angles(pose.orientation) == pytest.approx((psi, phi, theta))
+def test_rotations_are_about_z_then_the_rotated_y_then_the_rotated_x():
+    angles = (0.7, 0.4, -0.3)
+    pose = PickPlace("pick", (0.0, 0.0, 0.0), angles).pose
+    np.testing.assert_allclose(matrix(pose), Rotation.from_euler("ZYX", angles).as_matrix(), atol=1e-12)
+    assert euler_angles(pose.orientation) == pytest.approx(angles[::-1])
 
 
-def test_encode_brings_angles_into_range(make: Make) -> None:
+def test_encode_brings_angles_into_range(make):
     """A rotation by pi about the gripper's axis exchanges its fingers."""
     env = make(STACKING, action_sequence="xyzrrr")
-    for turns in (-2, -1, 1, 2):
+    for turns in (-2, 1):
         move = PickPlace("pick", (0.4, 0.0, 0.1), (0.7 + turns * math.pi, 0.2, -0.3))
         same = env.decode_action(env.encode_action(move))
         assert 0.0 <= same.rotation[0] <= math.pi
@@ -112,15 +91,14 @@ def test_encode_brings_angles_into_range(make: Make) -> None:
         np.testing.assert_allclose(matrix(same.pose), matrix(move.pose.compose(flip)), atol=1e-6)
 
 
-def test_encode_clips_and_rejects_an_unknown_primitive(env: ManipulationEnv) -> None:
+def test_encode_clips_positions_and_rejects_an_unknown_primitive(env):
     assert env.encode_action(PickPlace("place", (9.0, -9.0, 0.1))).tolist() == [1.0, 1.0, -1.0, -1.0]
     with pytest.raises(ValueError, match=r"primitive .*'push'"):
         env.encode_action(PickPlace("push", (0.4, 0.0, 0.1)))
 
 
-def test_action_without_p_picks_when_empty_and_places_when_holding(make: Make) -> None:
-    env = make(STACKING, action_sequence="xyr")
-    env.reset(seed=0)
+def test_action_without_p_picks_when_empty_and_places_when_holding(make):
+    env = make(STACKING, action_sequence="xyr", seed=0)
     moves = []
     for _ in range(4):
         action = env.expert_action()
@@ -129,7 +107,7 @@ def test_action_without_p_picks_when_empty_and_places_when_holding(make: Make) -
     assert moves == [("pick", False), ("place", True)] * 2
 
 
-def test_pick_while_holding_and_place_while_empty_change_nothing(env: ManipulationEnv) -> None:
+def test_pick_while_holding_and_place_while_empty_change_nothing(env):
     before = env.observe()
     observation, reward, terminated, truncated, info = act(env, "place", (0.45, 0.0, 0.0))
     assert info["ignored"] and (reward, terminated, truncated) == (0.0, False, False)
@@ -142,18 +120,14 @@ def test_pick_while_holding_and_place_while_empty_change_nothing(env: Manipulati
     assert digest(observation) == digest(before)
 
 
-# Motion
-
-
-def test_pick_and_place_move_a_cube_to_the_target(env: ManipulationEnv) -> None:
+def test_pick_and_place_move_a_cube_to_the_target(env):
     lay_out(env, Pose.planar(0.5, 0.1, CUBE / 2, 0.4))
     cube, *others = env.scene
     before = [obj.pose.position for obj in others]
     observation, *_ = act(env, "pick", (0.5, 0.1, 0.0), (0.4, 0.0, 0.0))
-    tool = env.scene.robot.pose
     assert env.scene.held is cube and observation["holding"] == 1.0
-    assert tool.position == pytest.approx((0.45, 0.0, 0.4), abs=1e-3)
-    assert math.dist(cube.pose.position, tool.position) < 2e-3
+    for pose in (env.scene.robot.pose, cube.pose):
+        assert pose.position == pytest.approx((0.45, 0.0, 0.4), abs=2e-3)
     assert observation["heightmap"][0, 20:, 30:].max() == 0.0  # neither the arm nor the cube is visible
     observation, *_ = act(env, "place", (0.4, -0.05, 0.0), (1.3, 0.0, 0.0))
     assert env.scene.held is None and observation["holding"] == 0.0
@@ -166,9 +140,8 @@ def test_pick_and_place_move_a_cube_to_the_target(env: ManipulationEnv) -> None:
 
 
 @pytest.mark.parametrize("fast", [True, False])
-def test_tilted_pick_holds_a_cube_upright(make: Make, fast: bool) -> None:
-    env = make("BulletArm/OpenLoopRampBlockStacking-v0", fast_mode=fast)
-    env.reset(seed=1)
+def test_tilted_pick_holds_a_cube_upright(make, fast):
+    env = make("BulletArm/OpenLoopRampBlockStacking-v0", fast_mode=fast, seed=1)
     cube = max(env.scene, key=lambda obj: obj.pose.tilt)
     assert cube.pose.tilt > 0.15
     quarters = (cube.pose.compose(Pose.planar(0.0, 0.0, 0.0, turn * math.pi / 2)) for turn in range(4))
@@ -182,10 +155,7 @@ def test_tilted_pick_holds_a_cube_upright(make: Make, fast: bool) -> None:
     assert cube.pose.tilt < 0.01
 
 
-# Heights of actions without z
-
-
-def test_pick_height_is_half_a_cube_below_the_highest_point(env: ManipulationEnv) -> None:
+def test_pick_height_is_half_a_cube_below_the_highest_point(env):
     tower = [Pose.planar(0.4, -0.1, (level + 0.5) * CUBE) for level in range(2)]
     lay_out(env, Pose.planar(0.5, 0.1, CUBE / 2), *tower)
     points = ((0.5, 0.1), (0.4, -0.1), (0.5, -0.1), (0.65, 0.2))
@@ -193,11 +163,12 @@ def test_pick_height_is_half_a_cube_below_the_highest_point(env: ManipulationEnv
     assert heights == pytest.approx([CUBE / 2, 1.5 * CUBE, 0.005, 0.005], abs=1e-3)
 
 
-def test_place_height_follows_from_measurements_until_the_gripper_is_empty(env: ManipulationEnv) -> None:
+def test_place_height_follows_from_measurements_until_the_gripper_is_empty(env):
     """Simulated pose and shape are not used. A memory of measurements is part of the state."""
     lay_out(env, Pose.planar(0.4, -0.1, CUBE / 2), Pose.planar(0.4, -0.1, 1.5 * CUBE))
     assert env.control.memory is None
-    held, known = pick(env, 0.4, -0.1), env.control.memory
+    act(env, "pick", (0.4, -0.1, 0.0))
+    held, known = env.scene.held, env.control.memory
     assert env.get_state().control == known and all(type(number) is float for number in known)
     level = CUBE / 2 + env.task.grasp_params.place_offset
     assert height_at(env, "place", 0.5, 0.1) == pytest.approx(level, abs=1.5e-3)
@@ -209,18 +180,12 @@ def test_place_height_follows_from_measurements_until_the_gripper_is_empty(env: 
     level = env.task.grasp_params.pick_offset + env.task.grasp_params.place_offset
     assert height_at(env, "place", 0.4, 0.0) == pytest.approx(level)
     lay_out(env, Pose.planar(0.5, 0.1, CUBE / 2))
-    pick(env, 0.5, 0.1)
-    known = env.control.memory
-    act(env, "pick", (0.4, 0.0, 0.0))  # ignored
-    assert known and env.control.memory == known
-    act(env, "place", (0.4, 0.0, 0.0))
-    assert env.scene.held is None and env.control.memory is None
+    for primitive, y, is_known in (("pick", 0.1, True), ("pick", 0.0, True), ("place", 0.0, False)):
+        act(env, primitive, (0.5, y, 0.0))
+        assert (env.scene.held is not None) == (env.control.memory is not None) == is_known
 
 
-# Observation
-
-
-def slow_crop(view: ElevationMap, tool: Pose, size: int) -> np.ndarray:
+def slow_crop(view, tool, size):
     """Return the bilinear interpolation of each pixel."""
     image = np.zeros((1, size, size))
     for i, j in itertools.product(range(size), repeat=2):
@@ -233,7 +198,7 @@ def slow_crop(view: ElevationMap, tool: Pose, size: int) -> np.ndarray:
     return image
 
 
-def slow_projections(view: ElevationMap, tool: Pose, size: int) -> np.ndarray:
+def slow_projections(view, tool, size):
     """Return the sums along each axis of the voxels below the surface."""
     n, full = len(view.heights), np.zeros((size,) * 3)
     for index in itertools.product(range(size), repeat=3):
@@ -245,8 +210,8 @@ def slow_projections(view: ElevationMap, tool: Pose, size: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("sequence", ["pxyr", "pxyzrrr"])
-def test_in_hand_shows_the_heightmap_before_the_pick(make: Make, sequence: str) -> None:
-    """It stays after a failed pick, and is zero after a place, a pick of nothing and a reset."""
+def test_in_hand_shows_the_heightmap_before_the_pick(make, sequence):
+    """It is zero after a place, a pick of nothing and a reset."""
     env = make(STACKING, action_sequence=sequence)
     lay_out(env, Pose.planar(0.5, 0.1, CUBE / 2))
     before = env.observe()
@@ -258,17 +223,11 @@ def test_in_hand_shows_the_heightmap_before_the_pick(make: Make, sequence: str) 
     expected = shown(ElevationMap(before["heightmap"][0], CENTRE, EXTENT), move.pose, 24)
     np.testing.assert_allclose(after["in_hand"], expected, atol=1e-5)
     assert after["in_hand"].any()
-    if env.scene.held is None:
-        ignored, *_, info = act(env, "place", (0.5, 0.15, 0.0))
-        assert info["ignored"] and np.array_equal(ignored["in_hand"], after["in_hand"])
     end, *_ = act(env, "pick" if env.scene.held is None else "place", (0.4, 0.0, 0.1))
     assert not end["in_hand"].any() and not env.reset(seed=0)[0]["in_hand"].any()
 
 
-# Observations from point clouds
-
-
-def cloud(env: ManipulationEnv, shows_grasped: bool) -> FloatArray:
+def cloud(env, shows_grasped):
     """Return the points of two depth cameras next to the workspace, without the arm."""
     robot = env.scene.robot
     absent = [robot.body] if shows_grasped or robot.held is None else [robot.body, robot.held]
@@ -276,70 +235,64 @@ def cloud(env: ManipulationEnv, shows_grasped: bool) -> FloatArray:
     return np.concatenate([camera.points(env.scene.world, absent) for camera in cameras])
 
 
-@pytest.mark.parametrize(
-    "env_kwargs", [{}, {"obs_size": 64, "workspace": [[0.32, 0.6], [-0.1, 0.18], [0.02, 0.2]]}]
-)
-def test_close_loop_heightmap_equals_the_point_cloud_view(env_kwargs: dict[str, Any], make: Make) -> None:
-    env = make("BulletArm/CloseLoopBlockStacking-v0", view="point_cloud", **env_kwargs)
+def test_close_loop_heightmap_equals_the_point_cloud_view(make):
+    workspace = [[0.32, 0.6], [-0.1, 0.18], [0.02, 0.2]]
+    env = make("BulletArm/CloseLoopBlockStacking-v0", view="point_cloud", workspace=workspace, obs_size=32)
     observation, _ = env.reset(seed=1)
     for _ in range(5):
-        robot, config = env.scene.robot, env.config
-        image = close_loop_heightmap(
-            cloud(env, shows_grasped=True), robot.pose, robot.opening, config.workspace, config.obs_size
-        )
+        points, robot = cloud(env, shows_grasped=True), env.scene.robot
+        image = real_arm.close_loop_heightmap(points, robot.pose, robot.opening, workspace, 32)
         assert (image == observation["heightmap"]).all() and image.dtype == np.float32
         observation, *_ = env.step(env.expert_action())
     assert env.scene.held is not None
 
 
-def test_open_loop_heightmap_differs_from_the_orthographic_view_at_edges_only(make: Make) -> None:
-    env = make("BulletArm/OpenLoopBlockStacking-v0")
-    env.reset(seed=0)
+def test_open_loop_heightmap_differs_from_the_orthographic_view_at_edges_only(make):
+    env = make("BulletArm/OpenLoopBlockStacking-v0", seed=0)
     for _ in range(3):
         observation, *_ = env.step(env.expert_action())
-        difference = np.abs(open_loop_heightmap(cloud(env, shows_grasped=False)) - observation["heightmap"])
+        difference = np.abs(
+            real_arm.open_loop_heightmap(cloud(env, shows_grasped=False)) - observation["heightmap"]
+        )
         assert np.median(difference) < 1e-5 and (difference > 1e-3).mean() < 0.03
 
 
 @pytest.mark.parametrize("name", ["BlockStacking", "RampBlockStacking"])
-def test_in_hand_image_equals_that_of_the_environment(name: str, make: Make) -> None:
+def test_in_hand_image_equals_that_of_the_environment(name, make):
     env = make(f"BulletArm/OpenLoop{name}-v0")
     before, _ = env.reset(seed=0)
     action = env.expert_action()
     move = env.decode_action(action)
     after, *_ = env.step(action)
-    image = in_hand_image(before["heightmap"], move.pose, tilts=name.startswith("Ramp"))
+    image = real_arm.in_hand_image(before["heightmap"], move.pose, tilts=name.startswith("Ramp"))
     assert image.any() and (image == after["in_hand"]).all()
 
 
-@pytest.mark.parametrize("floor", [0.0, 0.01])
-def test_heights_of_picks_and_places_equal_those_of_the_environment(floor: float, make: Make) -> None:
-    workspace = [[0.25, 0.65], [-0.2, 0.2], [floor, 1.0]]
+def test_heights_of_picks_and_places_equal_those_of_the_environment(make):
+    workspace = [[0.25, 0.65], [-0.2, 0.2], [0.01, 1.0]]
     env = make("BulletArm/OpenLoopHouseBuilding1-v0", workspace=workspace)
     params = env.task.grasp_params
     before, _ = env.reset(seed=0)
-    for _ in range(3):
+    for _ in range(2):
         action = env.expert_action()
         tool = env.control.executed(env.decode_action(action))
-        height = pick_height(before["heightmap"], tool, params.pick_offset, workspace=workspace)
+        height = real_arm.pick_height(before["heightmap"], tool, params.pick_offset, workspace=workspace)
         assert height == pytest.approx(tool.z)
         after, *_ = env.step(action)
-        grasp = measure_grasp(before["heightmap"], after["heightmap"], tool, workspace)
+        grasp = real_arm.measure_grasp(before["heightmap"], after["heightmap"], tool, workspace)
         assert grasp is not None and tuple(grasp) == pytest.approx(env.control.memory, abs=1e-4)
         action = env.expert_action()
         tool = env.control.executed(env.decode_action(action))
-        height = place_height(after["heightmap"], tool, grasp, params.place_offset, workspace)
+        height = real_arm.place_height(after["heightmap"], tool, grasp, params.place_offset, workspace)
         assert height == pytest.approx(tool.z, abs=1e-4)
         before, *_ = env.step(action)
 
 
-def test_points_must_be_world_coordinates_in_the_square() -> None:
-    tool = Pose((0.45, 0.0, 0.2))
-    with pytest.raises(ValueError, match=r"points .*\(3,\)"):
-        close_loop_heightmap([0.4, 0.0, 0.0], tool, 0.05)
-    with pytest.raises(ValueError, match=r"points .*0\.45 m"):
-        close_loop_heightmap([[450.0, 0.0, 0.0]], tool, 0.05)
+def test_points_must_be_world_coordinates_in_the_square():
+    for points, words in (([0.4, 0.0, 0.0], r"\(3,\)"), ([[450.0, 0.0, 0.0]], r"0\.45 m")):
+        with pytest.raises(ValueError, match=f"points .*{words}"):
+            real_arm.close_loop_heightmap(points, Pose((0.45, 0.0, 0.2)), 0.05)
     with pytest.raises(ValueError, match=r"points .*0\.4 m"):
-        open_loop_heightmap([[np.nan, 0.0, 0.0]])
+        real_arm.open_loop_heightmap([[np.nan, 0.0, 0.0]])
     known, unknown = [[0.45, 0.0, 0.03], [0.5, 0.1, 0.0]], [[np.nan] * 3, [0.45, 0.0, np.inf]]
-    assert (open_loop_heightmap(known + unknown) == open_loop_heightmap(known)).all()
+    assert (real_arm.open_loop_heightmap(known + unknown) == real_arm.open_loop_heightmap(known)).all()

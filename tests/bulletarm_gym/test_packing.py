@@ -1,25 +1,21 @@
 """Tasks that pack, palletise, present and sort objects, and Object Grasping, whose clutter stays."""
 
+import itertools
 import math
 import pickle
-from typing import Any
+from collections import Counter
 from unittest.mock import patch
 
-import gymnasium
 import numpy as np
 import pytest
-from rollouts import PICKING, Make, finish, transcript
+from rollouts import PICKING, finish, make_env, transcript
 
 from bulletarm_gym.config import LIFT_HEIGHT
-from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
-from bulletarm_gym.experts.approach import PRECISE
-from bulletarm_gym.geometry import Footprint, PlacementError, Pose
+from bulletarm_gym.geometry import PlacementError, Pose
 from bulletarm_gym.objects.containers import PALLET
 from bulletarm_gym.scene.predicates import inside, loose_objects
 from bulletarm_gym.scene.sampling import footprint
 from bulletarm_gym.simulation.shapes import BLUE, RED
-from bulletarm_gym.tasks.clutter import ObjectGrasping
 from bulletarm_gym.tasks.palletizing import layer_yaw, places
 
 PACKING, BOTTLES = "BulletArm/OpenLoopBinPacking-v0", "BulletArm/OpenLoopBottleArrangement-v0"
@@ -29,17 +25,13 @@ SORTING = ("BulletArm/CloseLoopBlockSorting-v0", "BulletArm/OpenLoopBlockSorting
 WIDTH, LENGTH, HEIGHT = 0.045, 0.072, 0.045
 
 
-def place_while_empty(env: ManipulationEnv) -> tuple[bool, dict[str, bool]]:
+def place_while_empty(env):
     """Act without effect on the robot; return whether that terminated the episode, and the info."""
     *_, terminated, _, info = env.step(np.ones(env.action_space.shape, np.float32))
     return terminated, info
 
 
-def smallest_gap(footprints: list[Footprint]) -> float:
-    return min(one.gap(other) for number, one in enumerate(footprints) for other in footprints[:number])
-
-
-def place(env: ManipulationEnv, frame: str, **poses: Pose) -> None:
+def place(env, frame, **poses):
     """Place objects, named with underscores, at poses in the frame of another object."""
     for name, pose in poses.items():
         env.scene[name.replace("_", " ")].place(env.scene[frame].pose.compose(pose))
@@ -48,29 +40,16 @@ def place(env: ManipulationEnv, frame: str, **poses: Pose) -> None:
 # Bin and bottles
 
 
-def test_blocks_are_packed_below_the_rim(make: Make) -> None:
-    env = make(PACKING, num_objects=1)
-    env.reset(seed=0)
+def test_blocks_are_packed_below_the_rim(make):
+    env = make(PACKING, num_objects=1, seed=0)
     outside = ((0.0, 0.0, 0.081), (0.09, 0.0, 0.03), (0.0, 0.074, 0.03))
     for local in ((0.08, 0.06, 0.079), *outside):
         place(env, "bin", block_0=Pose(local))
         assert env.task.evaluate(env.scene)["is_packed"] is (local not in outside)
 
 
-def test_expert_packs_eight_of_the_largest_blocks(make: Make) -> None:
-    env = make(PACKING)
-    env.reset(seed=3)
-    for item in env.scene.objects[1:]:
-        pose = item.pose
-        item.park()
-        item.variant = 5
-        item.place(Pose.planar(pose.x, pose.y, item.spec.extents[2] / 2.0, pose.yaw))
-    assert finish(env)[0]
-
-
-def test_bottles_are_upright_in_the_tray(make: Make) -> None:
-    env = make(BOTTLES, num_objects=1)
-    env.reset(seed=0)
+def test_bottles_are_upright_in_the_tray(make):
+    env = make(BOTTLES, num_objects=1, seed=0)
     half = env.scene["bottle 0"].spec.extents[2] / 2.0
     for local, arranged in (((0.05, 0.03, 0.005 + half), True), ((0.15, 0.0, half), False)):
         place(env, "tray", bottle_0=Pose(local))
@@ -82,14 +61,7 @@ def test_bottles_are_upright_in_the_tray(make: Make) -> None:
 # Pallet
 
 
-@pytest.fixture
-def pallet(make: Make) -> ManipulationEnv:
-    env = make(PALLETIZING, max_steps=100)
-    env.reset(seed=0)
-    return env
-
-
-def stack(env: ManipulationEnv, count: int, yaw: float = 0.0) -> None:
+def stack(env, count, yaw=0.0):
     """Put boxes in the first places, all rotated by an angle (rad)."""
     for number, box in enumerate(env.scene.objects[1 : 1 + count]):
         layer, place = divmod(number, 6)
@@ -98,21 +70,19 @@ def stack(env: ManipulationEnv, count: int, yaw: float = 0.0) -> None:
         box.place(env.scene["pallet"].pose.compose(frame))
 
 
-@pytest.mark.parametrize(
-    ("count", "yaw", "correct"),
-    [(1, 0.35, 1), (1, -0.45, 0), (1, math.pi / 2.0, 0), (6, 0.0, 1), (7, math.pi, 1), (17, 0.0, 1)],
-)
-def test_next_box_appears_when_all_are_correct(
-    pallet: ManipulationEnv, count: int, yaw: float, correct: int
-) -> None:
-    stack(pallet, count, yaw)
-    for _ in range(2):
-        place_while_empty(pallet)
-        assert len(loose_objects(pallet.scene)) == count + correct
-    assert not pallet.task.evaluate(pallet.scene)["success"]
+def test_next_box_appears_when_all_are_correct(make):
+    one = [(1, 0.35, 1), (1, -0.45, 0), (1, math.pi / 2.0, 0)]
+    for count, yaw, correct in [*one, (6, 0.0, 1), (7, math.pi, 1), (17, 0.0, 1)]:
+        pallet = make(PALLETIZING, max_steps=100, seed=0)
+        stack(pallet, count, yaw)
+        for _ in range(2):
+            place_while_empty(pallet)
+            assert len(loose_objects(pallet.scene)) == count + correct
+        assert not pallet.task.evaluate(pallet.scene)["success"]
 
 
-def test_next_box_waits_for_full_layers_below(pallet: ManipulationEnv) -> None:
+def test_next_box_waits_for_full_layers_below(make):
+    pallet = make(PALLETIZING, max_steps=100, seed=0)
     stack(pallet, 8)
     pallet.scene["box 2"].park()
     place_while_empty(pallet)
@@ -121,11 +91,10 @@ def test_next_box_waits_for_full_layers_below(pallet: ManipulationEnv) -> None:
     assert place_while_empty(pallet)[1]["is_success"]
 
 
-@pytest.mark.parametrize("env_id", [PALLETIZING, BUMP])
-@pytest.mark.parametrize("parameters", [{}, {"random_orientation": False}], ids=str)
-def test_boxes_appear_inside_and_apart(make: Make, env_id: str, parameters: dict[str, Any]) -> None:
-    env = make(env_id, max_steps=100, **parameters)
-    for seed in range(20):
+@pytest.mark.parametrize(("env_id", "is_random"), [(PALLETIZING, False), (BUMP, True)])
+def test_boxes_appear_inside_and_apart(make, env_id, is_random):
+    env = make(env_id, max_steps=100, random_orientation=is_random)
+    for seed in range(15):
         layer = seed % 3
         env.reset(seed=seed)
         stack(env, 6 * layer)
@@ -133,59 +102,37 @@ def test_boxes_appear_inside_and_apart(make: Make, env_id: str, parameters: dict
         box, base = env.scene[f"box {6 * layer}"], env.scene["pallet"]
         assert info["is_valid"] and info["is_at_rest"]
         assert footprint(box).is_inside(env.config.workspace) and footprint(box).gap(footprint(base)) > 0.0
-        if parameters and env_id == PALLETIZING:
+        if not is_random:
             yaw = box.pose.yaw - base.pose.yaw - layer_yaw(layer)
             assert math.sin(yaw) == pytest.approx(0.0, abs=1e-3)
 
 
-def test_episode_ends_if_the_next_box_has_no_free_pose(pallet: ManipulationEnv) -> None:
+def test_episode_ends_if_the_next_box_has_no_free_pose(make):
+    pallet = make(PALLETIZING, max_steps=100, seed=0)
     stack(pallet, 1)
     with patch("bulletarm_gym.tasks.palletizing.sample_until", side_effect=PlacementError("no room")):
         _, reward, terminated, _, info = pallet.step(np.ones(pallet.action_space.shape, np.float32))
     assert (reward, terminated, info["is_valid"]) == (0.0, True, False)
-    state = pallet.get_state()
     assert pallet.reset(seed=0)[1]["is_valid"]
-    pallet.set_state(state)
-    assert not pallet.task.is_valid(pallet.scene)
-
-
-def test_expert_corrects_a_misplaced_box(make: Make) -> None:
-    env = make(PALLETIZING, max_steps=100, num_objects=6)
-    env.reset(seed=2)
-    for _ in range(5):
-        env.step(env.expert_action())
-    tool = env.scene.robot.pose
-    askew = env.scene["pallet"].pose.compose(Pose.planar(0.0, 0.0, 0.0, 0.8))
-    waypoint = Waypoint(Pose.planar(askew.x, askew.y, tool.z, askew.yaw), CLOSED, OPEN)
-    env.step(env.encode_action(env.tracker.towards(waypoint)))
-    assert len(loose_objects(env.scene)) == 3
-    solved, steps = finish(env)
-    assert solved and steps <= 10
 
 
 # Covid tests
 
 
-@pytest.fixture
-def covid(make: Make) -> ManipulationEnv:
-    env = make(COVID, max_steps=100)
-    env.reset(seed=0)
-    return env
-
-
-def test_containers_touch_and_are_inside(make: Make) -> None:
+def test_containers_touch_and_are_inside(make):
     env = make(COVID)
     for seed in range(20):
         env.reset(seed=seed)
         containers = [env.scene[name] for name in ("new box", "test area", "used box")]
         assert all(footprint(place).is_inside(env.config.workspace) for place in containers)
         local = containers[1].pose.inverse()  # gaps are exact in this frame
-        assert smallest_gap([footprint(place, local.compose(place.pose)) for place in containers]) > -1e-6
+        bases = [footprint(place, local.compose(place.pose)) for place in containers]
+        assert min(one.gap(other) for one, other in itertools.combinations(bases, 2)) > -1e-6
         loose = loose_objects(env.scene)
         assert len(loose) == 6 and all(inside(obj, containers[0]) for obj in loose)
 
 
-def test_pair_becomes_a_used_tube_at_a_random_pose(make: Make) -> None:
+def test_pair_becomes_a_used_tube_at_a_random_pose(make):
     env, poses = make(COVID, max_steps=100), []
     for seed in range(12):
         env.reset(seed=seed)
@@ -203,37 +150,25 @@ def test_pair_becomes_a_used_tube_at_a_random_pose(make: Make) -> None:
 
 
 @pytest.mark.parametrize("names", [("swab_0", "swab_1"), ("tube_0", "tube_1"), ("tube_0", "used_tube_0")])
-def test_two_of_a_kind_in_the_test_area_are_invalid(covid: ManipulationEnv, names: tuple[str, str]) -> None:
+def test_two_of_a_kind_in_the_test_area_are_invalid(make, names):
+    covid = make(COVID, max_steps=100, seed=0)
     place(covid, "test area", **{names[0]: Pose((0.0, -0.06, 0.012)), names[1]: Pose((0.0, 0.06, 0.012))})
     terminated, info = place_while_empty(covid)
     assert terminated and not info["is_valid"] and not info["is_success"]
 
 
-def test_three_used_tubes_in_their_box_are_the_goal(covid: ManipulationEnv) -> None:
+def test_three_used_tubes_in_their_box_are_the_goal(make):
+    covid = make(COVID, max_steps=100, seed=0)
     for number in range(3):
         assert not covid.task.evaluate(covid.scene)["success"]
         place(covid, "used box", **{f"used_tube_{number}": Pose((0.0, 0.025 * (number - 1), 0.012))})
     assert covid.task.evaluate(covid.scene)["success"]
 
 
-def test_fingers_around_a_swab_keep_clear_of_the_tubes(make: Make) -> None:
-    env = make("BulletArm/CloseLoopCovidTest-v0", robot="ur5_robotiq")
-    gripper = env.scene.robot.model.gripper
-    thickness, width, _ = gripper.finger
-    for seed in range(10):
-        env.reset(seed=seed)
-        tubes = [footprint(env.scene[f"tube {number}"]) for number in range(3)]
-        pick = next(iter(env.task.plan(env.scene, np.random.default_rng(0))))
-        offset = (pick.gripper * gripper.stroke + thickness) / 2.0
-        fingers = [pick.pose.compose(Pose((side * offset, 0.0, 0.0))) for side in (1.0, -1.0)]
-        bases = [Footprint.rectangle((thickness, width), finger) for finger in fingers]
-        assert min(base.gap(tube) for base in bases for tube in tubes) > 2.0 * PRECISE
-
-
 # Sorting
 
 
-def fill_bowls(env: ManipulationEnv, swapped: bool) -> None:
+def fill_bowls(env, swapped):
     """Place two cubes in each bowl, of its colour or of the other."""
     env.reset(seed=0)
     x, y = env.config.centre
@@ -247,7 +182,7 @@ def fill_bowls(env: ManipulationEnv, swapped: bool) -> None:
 
 
 @pytest.mark.parametrize("env_id", SORTING)
-def test_only_colours_show_which_cubes_are_sorted(make: Make, env_id: str) -> None:
+def test_only_colours_show_which_cubes_are_sorted(make, env_id):
     env, observed = make(env_id), []
     for swapped in (False, True):
         fill_bowls(env, swapped)
@@ -259,15 +194,11 @@ def test_only_colours_show_which_cubes_are_sorted(make: Make, env_id: str) -> No
             assert (observed[-1]["color"] == code).all(axis=0).sum() > 100
     assert np.array_equal(observed[0]["heightmap"], observed[1]["heightmap"])
     assert not np.array_equal(observed[0]["color"], observed[1]["color"])
-
-
-def test_cube_next_to_its_bowl_is_not_sorted_and_a_fallen_bowl_is_invalid(make: Make) -> None:
-    env = make(SORTING[0])
     fill_bowls(env, swapped=False)
     env.scene["red cube 0"].place(Pose.planar(env.config.centre[0] + 0.1, 0.0, 0.015))
     assert not env.task.evaluate(env.scene)["is_sorted"]
     env.scene["red bowl"].place(Pose(env.scene["red bowl"].pose.position, (1.0, 0.0, 0.0, 0.0)))
-    assert not env.task.is_valid(env.scene)
+    assert not env.task.is_valid(env.scene), "a bowl upside down"
 
 
 # Object Grasping
@@ -276,46 +207,30 @@ def test_cube_next_to_its_bowl_is_not_sorted_and_a_fallen_bowl_is_invalid(make: 
 ENV_ID = "BulletArm/CloseLoopObjectGrasping-v0"
 
 
-@pytest.fixture
-def env(make: Make) -> ManipulationEnv:
-    return make(ENV_ID)
-
-
-def _poses(env: ManipulationEnv) -> dict[str, Pose]:
+def _poses(env):
     return {item.slot.name: item.pose for item in env.scene}
 
 
-def _solve(env: ManipulationEnv, noise: float = 0.0) -> bool:
-    rng = np.random.default_rng(0)
-    for _ in range(env.config.max_steps):
-        action = np.clip(env.expert_action() + rng.normal(0.0, noise, env.action_space.shape), -1.0, 1.0)
-        *_, terminated, truncated, info = env.step(action)
-        if terminated or truncated:
-            return bool(info["is_success"])
-    raise AssertionError("no episode lasts longer than max_steps")
-
-
-def test_grasped_object_is_removed_at_reset_and_the_others_stay(env: ManipulationEnv, make: Make) -> None:
+def test_grasped_object_is_removed_at_reset_and_the_others_stay(make):
     """Also in the state."""
+    env = make(ENV_ID)
     _, info = env.reset(seed=1)
     before = set(_poses(env))
     assert len(before) == 5 and info["is_valid"] and not info["is_held"]
-    assert _solve(env)
+    assert finish(env)[0]
     held = env.scene.held
     assert held is not None and env.scene.robot.pose.z > LIFT_HEIGHT  # still observed
     env.reset()
     assert set(_poses(env)) == before - {held.slot.name}
     assert env.scene.robot.held is None and env.scene.robot.opening_ratio == 1.0
-    assert env.keeps_scene and not make(PICKING).keeps_scene
-    other = make(ENV_ID, 1)
-    other.reset(seed=6)
+    other = make(ENV_ID, 1, seed=6)
     other.set_state(pickle.loads(pickle.dumps(env.get_state())))
     assert _poses(other) == _poses(env)
     assert transcript(other, 8) == transcript(env, 8)
 
 
-def test_scene_is_new_only_with_a_seed_an_option_or_an_invalid_scene(env: ManipulationEnv) -> None:
-    env.reset(seed=2)
+def test_scene_is_new_only_with_a_seed_an_option_or_an_invalid_scene(make):
+    env = make(ENV_ID, seed=2)
     before = _poses(env)
     for arguments in ({}, {"options": {"new_scene": False}}):
         env.reset(**arguments)
@@ -328,57 +243,44 @@ def test_scene_is_new_only_with_a_seed_an_option_or_an_invalid_scene(env: Manipu
     assert _poses(env).keys() != before.keys() and len(_poses(env)) == 5
 
 
-def test_new_objects_appear_when_all_are_grasped(make: Make) -> None:
+def test_new_objects_appear_when_all_are_grasped(make):
     env, names = make(ENV_ID, num_objects=1), set()
     env.reset(seed=0)
     for _ in range(4):
         assert len(_poses(env)) == 1
         names |= set(_poses(env))
-        assert _solve(env)
+        assert finish(env)[0]
         env.reset()
     assert len(names) > 2
 
 
-@pytest.mark.parametrize(
-    ("parameters", "noise"),
-    [
-        ({"random_orientation": False}, 0.0),
-        ({"random_orientation": False, "action_sequence": "pxyz"}, 0.0),
-        ({}, 0.1),
-    ],
-    ids=["pxyzr", "pxyz", "noise"],
-)
-def test_expert_clears_the_tray(make: Make, parameters: dict[str, Any], noise: float) -> None:
+@pytest.mark.parametrize("parameters", [{}, {"random_orientation": False, "action_sequence": "pxyz"}])
+def test_expert_clears_the_tray(make, parameters):
     env, outcomes = make(ENV_ID, **parameters), []
     env.reset(seed=0)
-    for _ in range(8):
-        outcomes.append(_solve(env, noise))
+    for _ in range(6):
+        outcomes.append(finish(env)[0])
         env.reset()
-    assert sum(outcomes) >= 7
+    assert sum(outcomes) >= 5
 
 
-def test_tray_is_possible_in_other_tasks(make: Make) -> None:
+def test_tray_is_possible_in_other_tasks(make):
     env = make(PICKING, close_loop_tray=True)
     observation, _ = env.reset(seed=0)
     assert env.scene["cube"].pose.z == pytest.approx(0.027, abs=1e-3)
     assert observation["heightmap"][0, 0, 0] < observation["heightmap"].max() - 0.05  # the wall
-    assert _solve(env)
+    assert finish(env)[0]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("robot", ["kuka", "panda", "ur5", "ur5_robotiq"])
-def test_every_object_alone_is_lifted(robot: str) -> None:
-    env = gymnasium.make(ENV_ID, robot=robot, num_objects=1).unwrapped
-    assert isinstance(env, ManipulationEnv) and isinstance(env.task, ObjectGrasping)
-    failing = {}
+def test_every_object_alone_is_lifted(robot):
+    env, lifted = make_env(ENV_ID, robot=robot, num_objects=1), Counter()
     for index, item in enumerate(env.scene.objects):
-        lifted = 0
         for seed in range(5):
             env.reset(seed=seed)
             rng = np.random.default_rng((index, seed))
             env.scene.clear(rng)
             env.task.drop(env.scene, [item], rng)
-            lifted += _solve(env)
-        if lifted < 4:
-            failing[item.slot.name] = lifted
-    assert not failing
+            lifted[item.slot.name] += finish(env)[0]
+    assert min(lifted.values()) >= 4, lifted

@@ -1,93 +1,49 @@
 """Properties that tasks change, and sampled physics, cameras and noise: in effect, stored and repeatable."""
 
 import itertools
+import math
 import pickle
 import re
+from contextlib import closing
 from dataclasses import fields
 from functools import partial
 from pathlib import Path
-from typing import Any
 
-import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from rollouts import (
-    PICKING,
-    TYPICAL,
-    Make,
-    advance,
-    digest,
-    finish,
-    is_open_loop,
-    make_env,
-    transcript,
-)
+from rollouts import PICKING, TYPICAL, advance, digest, is_open_loop, make_env, transcript
 
-import bulletarm_gym
 from bulletarm_gym.demonstrations import json_state
-from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.observations.depth_noise import measured_depths
 from bulletarm_gym.randomization import NAMES, PRESETS, Randomization
 from bulletarm_gym.simulation.state import Properties
 
 DRAWER = "BulletArm/CloseLoopDrawerOpening-v0"
 STACKING = "BulletArm/OpenLoopBlockStacking-v0"
-CHANGES = {
-    "mass": 0.08,
-    "friction": 0.7,
-    "rolling_friction": 1e-3,
-    "spinning_friction": 2e-3,
-    "restitution": 0.1,
-}
+CHANGES = {"mass": 0.08, "friction": 0.7, "rolling_friction": 1e-3, "spinning_friction": 2e-3}
+CHANGES |= {"restitution": 0.1}
 GREEN = (0.1, 0.9, 0.2, 1.0)
 PREFIX = "randomization/"
 FACTORS = {"object_friction": 0.8, "surface_friction": 1.2, "object_mass": 0.5}
 
 
-def values_of(info: dict[str, Any]) -> dict[str, Any]:
+def values_of(info):
     """Return the sampled values in an info."""
     return {key.removeprefix(PREFIX): value for key, value in info.items() if key.startswith(PREFIX)}
 
 
-# Ranges
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_invalid_range_is_rejected_by_name(name: str) -> None:
-    for value in ([2.0, -2.0], [0.0, 99.0], float("nan"), "much", ["1", "1"], [1.0], None):
+def test_invalid_ranges_are_rejected_by_name():
+    for name, value in itertools.product(NAMES, ([2.0, -2.0], [0.0, 99.0], float("nan"), ["1", "1"], [1.0])):
         with pytest.raises(ValueError, match=rf"^{name} must be a number or \[low, high\], from .*, got "):
             Randomization(**{name: value})
-
-
-@pytest.mark.parametrize(
-    ("env_id", "value", "message"),
-    [
-        (PICKING, "heavy", "randomization must be None, 'light', 'real', .*, got 'heavy'"),
-        (PICKING, 3, "randomization must be .*, got 3"),
-        (PICKING, {"weight": 1.0}, r"randomization must be .*, got \{'weight'"),
-        (PICKING, {"object_mass": "much"}, "randomization: object_mass must be .*, got 'much'"),
-        (STACKING, {"action_delay": 0.1}, r"randomization: action_delay must be 0 .*, got \[0\.1, 0\.1\]"),
-    ],
-)
-def test_invalid_randomization_is_rejected(env_id: str, value: Any, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        make_env(env_id, randomization=value)
-
-
-def test_a_randomization_is_stored_as_json() -> None:
-    ranges = Randomization(object_mass=(0.5, 2.0), depth_noise=0.001)
-    env: Any = gymnasium.make(PICKING, randomization=ranges, obs_size=16)
-    stored = {"object_mass": [0.5, 2.0], "depth_noise": [0.001, 0.001]}
-    assert env.unwrapped.config.randomization == stored == env.spec.kwargs["randomization"]
-    assert gymnasium.envs.registration.EnvSpec.from_json(env.spec.to_json()) == env.spec
-
-
-# Info
+    for env_id, name, value in ((PICKING, "object_mass", "much"), (STACKING, "action_delay", 0.1)):
+        with pytest.raises(ValueError, match=rf"randomization: {name} must be .*, got .*{value}"):
+            make_env(env_id, randomization={name: value})
 
 
 @pytest.mark.parametrize("env_id", [PICKING, STACKING])
-def test_sampled_values_are_in_info(make: Make, env_id: str) -> None:
+def test_sampled_values_are_in_info(make, env_id):
     env = make(env_id, obs_size=32, randomization="real")
     ranges = Randomization.of("real", is_open_loop(env_id))
     seen = []
@@ -103,17 +59,14 @@ def test_sampled_values_are_in_info(make: Make, env_id: str) -> None:
     assert not values_of(make(env_id).reset(seed=0)[1])
 
 
-# Properties of bodies
-
-
-def in_engine(env: ManipulationEnv) -> tuple[Any, ...]:
+def in_engine(env):
     """Return the engine's dynamics and colour of the cube."""
     client, body = env.scene.world.client, env.scene["cube"].body
     (shape,) = client.getVisualShapeData(body.id)
     return (*client.getDynamicsInfo(body.id, -1)[:8], tuple(np.float32(shape[7]).tolist()))
 
 
-def test_properties_are_in_effect_until_the_next_reset(picking: ManipulationEnv) -> None:
+def test_properties_are_in_effect_until_the_next_reset(picking):
     expected = transcript(picking, 20, seed=0)
     picking.reset(seed=0)
     item = picking.scene["cube"]
@@ -131,27 +84,19 @@ def test_properties_are_in_effect_until_the_next_reset(picking: ManipulationEnv)
     assert transcript(picking, 20, seed=0) == expected
 
 
-def test_colour_in_effect_is_observed_and_rendered(make: Make) -> None:
-    env = make(PICKING, render_mode="rgb_array", observation=["color"], obs_size=32)
-    env.reset(seed=0)
+def test_colour_in_effect_is_observed_and_rendered(make):
+    env = make(PICKING, render_mode="rgb_array", observation=["color"], obs_size=32, seed=0)
     before = env.render()
     env.scene["cube"].set_properties(colour=GREEN)
     changed = env.observe()["color"].reshape(3, -1).T == np.rint(255 * np.array(GREEN[:3]))
     assert changed.all(axis=1).any() and (env.render() != before).any()
 
 
-def test_property_out_of_range_is_rejected(make: Make) -> None:
-    env = make("BulletArm/CloseLoopCornerPicking-v0")
-    env.reset(seed=0)
+def test_property_out_of_range_is_rejected(make):
+    env = make("BulletArm/CloseLoopCornerPicking-v0", seed=0)
     before = env.get_state()
-    for slot, name, value in (
-        ("cube", "mass", 0.0),
-        ("cube", "friction", -0.1),
-        ("cube", "restitution", float("nan")),
-        ("cube", "colour", (0.1, 0.2, 0.3)),
-        ("cube", "colour", (0.1, 0.2, 0.3, 1.1)),
-        ("corner", "mass", 1.0),
-    ):
+    wrong = [("mass", 0.0), ("friction", -0.1), ("restitution", math.nan), ("colour", (0.1, 0.2, 0.3, 1.1))]
+    for slot, name, value in [*(("cube", *pair) for pair in wrong), ("corner", "mass", 1.0)]:
         with pytest.raises(ValueError, match=rf"^{name} must be .*, got "):
             env.scene[slot].set_properties(**{name: value})
     with pytest.raises(TypeError, match="weight"):
@@ -161,47 +106,27 @@ def test_property_out_of_range_is_rejected(make: Make) -> None:
     assert env.get_state() == before
 
 
-# Effects
-
-
-def test_factors_change_the_properties_of_bodies(make: Make) -> None:
-    env = make(DRAWER, randomization={**FACTORS, "gripper_force": 1.5, "colour": 0.5})
-    env.reset(seed=0)
+def test_factors_change_the_properties_of_bodies(make):
+    env = make(DRAWER, randomization={**FACTORS, "gripper_force": 1.5, "colour": 0.5}, seed=0)
     world, robot = env.scene.world, env.scene.robot
     for obj in env.scene.objects:
         assert obj.properties.friction == pytest.approx(0.8 * obj.spec.friction)
         assert obj.properties.mass == pytest.approx(0.5 * obj.spec.mass)
         assert obj.properties.colour != obj.spec.colour
-    floor = world.ground
-    assert world.get_properties(floor).friction == pytest.approx(1.2 * floor.spec.friction)
-    force = robot.model.gripper.force
-    assert robot._fingers.forces == (1.5 * force,) * 2
-    env.reset(seed=0, options={"randomization": {"gripper_force": 1.5}})
-    make(DRAWER).reset(seed=0)
+    assert world.get_properties(world.ground).friction == pytest.approx(1.2 * world.ground.spec.friction)
+    assert robot._fingers.forces == (1.5 * robot.model.gripper.force,) * 2
 
 
-def test_resistance_of_joints_changes_motions(make: Make) -> None:
+def test_resistance_of_joints_changes_motions(make):
     found = []
     for ranges in (None, {"joint_resistance": 1.0}, {"joint_resistance": 10.0}):
         env = make(DRAWER, randomization=ranges)
-        env.reset(seed=0)
-        for _ in range(5):
-            env.step(env.expert_action())
+        advance(env, 0, 5)
         found.append(env.scene["drawer"].joints)
     assert found[0] == found[1] != found[2]
 
 
-def test_weak_gripper_drops_a_heavy_cube(make: Make) -> None:
-    ranges = {"gripper_force": [0.1, 1.0], "object_mass": [1.0, 10.0]}
-    env = make(PICKING, randomization=ranges, max_steps=20)
-    lifted = []
-    for force, mass in ((1.0, 1.0), (0.1, 10.0)):
-        env.reset(seed=0, options={"randomization": {"gripper_force": force, "object_mass": mass}})
-        lifted.append(finish(env)[0])
-    assert lifted == [True, False]
-
-
-def test_calibration_error_moves_images(make: Make) -> None:
+def test_calibration_error_moves_images(make):
     above = {"name": "above", "sensor": "depth", "position": [0.45, 0, 1], "target": [0.45, 0, 0]}
     exact, shifted, rotated = (
         make(PICKING, observation=["heightmap", above, "point_cloud"], randomization=error)
@@ -220,14 +145,11 @@ def test_calibration_error_moves_images(make: Make) -> None:
     assert 1e-3 < np.abs(clouds[0] - clouds[1]).max() < 0.06, "computed with the nominal camera"
 
 
-def test_light_changes_rendered_images(make: Make) -> None:
-    images = [
-        make(PICKING, render_mode="rgb_array", render_size=64, randomization=ranges)
+def test_light_changes_rendered_images(make):
+    plain, dark, other = (
+        make(PICKING, render_mode="rgb_array", render_size=64, randomization=ranges, seed=0).render()
         for ranges in (None, {"light_brightness": 0.5}, {"light_direction": [-0.5, -0.5]})
-    ]
-    for env in images:
-        env.reset(seed=0)
-    plain, dark, other = (env.render() for env in images)
+    )
     assert dark.mean() < 0.95 * plain.mean() and (other != plain).any()
 
 
@@ -235,7 +157,7 @@ FLAT = np.full((64, 64), 0.8, np.float32)
 EDGE = np.where(np.arange(64) < 32, 0.8, 0.9).astype(np.float32) * np.ones((64, 1), np.float32)
 
 
-def test_depth_noise_grows_with_the_square_of_the_distance() -> None:
+def test_depth_noise_grows_with_the_square_of_the_distance():
     noise = partial(measured_depths, {"depth_noise": 0.002}, 0)
     for distance in (0.5, 1.0, 2.0):
         errors = noise(np.full((128, 128), distance, np.float32)) - distance
@@ -243,7 +165,7 @@ def test_depth_noise_grows_with_the_square_of_the_distance() -> None:
         assert abs(errors.mean()) < 1e-4
 
 
-def test_depth_step_and_missing_pixels() -> None:
+def test_depth_step_and_missing_pixels():
     """Depths are multiples of a step of disparity; a missing pixel has the depth to its left."""
     depths = measured_depths({"depth_step": 0.01}, 0, np.linspace(0.9, 1.1, 64, dtype=np.float32)[None])
     found = np.unique(depths)
@@ -254,45 +176,24 @@ def test_depth_step_and_missing_pixels() -> None:
     assert (depths <= ramp).all() and (depths[:, 0] == 1.0).all()
 
 
-def test_edges_are_ragged_and_planes_are_not() -> None:
+def test_edges_are_ragged_and_planes_are_not():
     noise = partial(measured_depths, {"depth_edges": 0.5}, 0)
     assert (noise(FLAT) == FLAT).all()
     changed = (noise(EDGE) != EDGE).any(axis=0)
     assert changed[31:33].all() and not changed[:31].any() and not changed[33:].any()
 
 
-def test_errors_differ_between_seeds_and_cameras(make: Make) -> None:
-    env = make(PICKING, randomization="real", observation=["heightmap"])
-    env.reset(seed=0)
-    camera = env.cameras["render"].camera
-    values = {"depth_noise": 0.01}
-    images = [measured_depths(values, seed, FLAT, eye) for seed in (0, 1) for eye in (None, camera)]
-    assert len({image.tobytes() for image in images}) == 4
-    first, again = env.observe(), env.observe()
-    assert digest(first) == digest(again)
-    env.step(np.zeros(5))
-    assert (env.observe()["heightmap"] != first["heightmap"]).mean() > 0.5
-
-
-# Actions
-
-
-def test_delayed_actions_are_executed_one_step_later(make: Make) -> None:
-    env, late = make(PICKING), make(PICKING, randomization={"action_delay": 1.0})
+def test_delayed_actions_are_executed_one_step_later(make):
+    env, late = make(PICKING, seed=0), make(PICKING, randomization={"action_delay": 1.0}, seed=0)
     actions = np.random.default_rng(0).uniform(-0.5, 0.5, (4, 5)).astype(np.float32)
     actions[:, 0] = 1.0
-    for one in (env, late):
-        one.reset(seed=0)
-    start = late.scene.robot.pose
-    late.step(actions[0])
-    assert np.allclose(late.scene.robot.pose.position, start.position, atol=1e-3)
-    for before, action in itertools.pairwise(actions):
-        env.step(before)
+    for number, action in enumerate(actions):
         late.step(action)
-        assert np.allclose(env.scene.robot.pose.position, late.scene.robot.pose.position, atol=1e-3)
+        np.testing.assert_allclose(late.scene.robot.pose[0], env.scene.robot.pose[0], atol=1e-3)
+        env.step(actions[number])
 
 
-def test_action_noise_spares_the_opening(make: Make) -> None:
+def test_action_noise_spares_the_opening(make):
     env = make(PICKING, randomization={"action_noise": 0.2})
     openings, moves = [], []
     for seed in range(12):
@@ -303,78 +204,56 @@ def test_action_noise_spares_the_opening(make: Make) -> None:
         openings.append(env.scene.robot.opening_ratio)
     assert np.std(moves) == pytest.approx(0.2 * 0.05, rel=0.5)
     assert np.allclose(openings, 1.0, atol=0.01)
-    with pytest.raises(ValueError, match="action must be 5 finite numbers"):
-        env.step([1.0, 0.0])
 
 
-# Exactness
-
-
-def check_exactness(make: Make, env_id: str, **parameters: Any) -> None:
+def check_exactness(make, env_id, steps=4, **parameters):
     """Check determinism, states in another instance, JSON and pickles."""
     parameters = {"obs_size": 32, **parameters}
     env, other = (make(env_id, number, randomization="real", **parameters) for number in range(2))
-    expected = transcript(env, 6, seed=3)
-    transcript(other, 2, seed=8)
-    assert transcript(other, 6, seed=3) == expected
+    expected = transcript(env, steps, seed=3)
+    transcript(other, 1, seed=8)
+    assert transcript(other, steps, seed=3) == expected
     state = advance(env, 5, 1)
     assert digest(env.observe()) == digest(env.observe())
     copied = pickle.loads(pickle.dumps(env))
-    expected = [digest(env.observe()), *transcript(env, 6)]
+    expected = [digest(env.observe()), *transcript(env, steps)]
     other.reset(seed=1)
     other.set_state(json_state.loads(json_state.dumps(state)))
     for one in (other, copied):
-        assert [digest(one.observe()), *transcript(one, 6)] == expected
+        assert [digest(one.observe()), *transcript(one, steps)] == expected
     plain = make_env(env_id, **parameters)
     plain.set_state(state)
     assert [digest(plain.observe()), transcript(plain, 1)[0]] == expected[:2]
 
 
-@pytest.mark.parametrize(
-    "env_id",
-    [*TYPICAL, *(pytest.param(i, marks=pytest.mark.slow) for i in bulletarm_gym.ENV_IDS if i not in TYPICAL)],
-    ids=lambda env_id: env_id.split("/")[1],
-)
-def test_real_randomization_is_exact(make: Make, env_id: str) -> None:
-    check_exactness(make, env_id)
-    check_env(make(env_id, randomization="real", obs_size=32), skip_render_check=True)
+def test_real_randomization_is_exact(make, typical_id):
+    check_exactness(make, typical_id)
+    check_env(make(typical_id, randomization="real", obs_size=32), skip_render_check=True)
 
 
-def test_all_sensors_are_exact(make: Make) -> None:
-    cameras = ["heightmap", "rgb", "depth", "point_cloud"]
-    check_exactness(make, PICKING, view="point_cloud", observation=cameras)
-    check_exactness(make, PICKING, observation=["heightmap", "color", "segmentation", "state"])
+def test_all_cameras_are_exact(make):
+    cameras = [{"name": "rgb", "size": 32}, {"name": "depth", "size": 32}, {"name": "point_cloud"}]
+    check_exactness(make, PICKING, steps=1, view="point_cloud", observation=["heightmap", *cameras])
 
 
-def random_ranges(rng: np.random.Generator, open_loop: bool) -> dict[str, list[float]]:
-    """Return accepted ranges of some quantities."""
-    chosen = [entry for entry in fields(Randomization) if rng.random() < 0.5]
+def test_resets_with_random_ranges(typical_id):
+    rng = np.random.default_rng(TYPICAL.index(typical_id))
+    chosen = [entry for entry in fields(Randomization) if rng.random() < 0.5 and entry.name != "action_delay"]
     ranges = {entry.name: sorted(rng.uniform(*entry.metadata["limits"], 2).tolist()) for entry in chosen}
-    return {name: ends for name, ends in ranges.items() if not (open_loop and name == "action_delay")}
-
-
-@pytest.mark.parametrize("resets", [60, pytest.param(1000, marks=pytest.mark.slow)])
-def test_resets_with_random_ranges(resets: int) -> None:
-    rng = np.random.default_rng(0)
-    for number in range(resets // 10):
-        env_id = TYPICAL[number % len(TYPICAL)]
-        env = make_env(env_id, obs_size=32, randomization=random_ranges(rng, is_open_loop(env_id)))
+    with closing(make_env(typical_id, obs_size=32, randomization=ranges)) as env:
         for seed in range(10):
             observation, info = env.reset(seed=seed)
             assert env.observation_space.contains(observation)
             assert all(np.isfinite(list(values_of(info).values())))
         env.step(env.action_space.sample())
-        env.close()
 
 
 PAGE = Path(__file__).parents[2] / "docs" / "guides" / "randomization.md"
 ROW = re.compile(r"^\| `(\w+)` \|.*\| ([-\d.]+) to ([-\d.]+) \| ([-\d.]+) to ([-\d.]+) \|$", re.MULTILINE)
 
 
-def test_the_page_has_the_ranges_of_the_presets() -> None:
-    rows = {
-        name: [float(end) for end in ends] for name, *ends in ROW.findall(PAGE.read_text(encoding="utf-8"))
-    }
+def test_the_page_has_the_ranges_of_the_presets():
+    rows = {name: list(map(float, ends)) for name, *ends in ROW.findall(PAGE.read_text(encoding="utf-8"))}
     ends = {name: [*getattr(PRESETS["light"], name), *getattr(PRESETS["real"], name)] for name in NAMES}
     assert list(rows) == list(NAMES)
     for name, values in ends.items():

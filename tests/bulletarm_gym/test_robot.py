@@ -2,17 +2,15 @@
 
 import itertools
 import math
-from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from rollouts import PICKING, TYPICAL, Make, finish, step_on
+from rollouts import PICKING, TYPICAL, finish, step_on
 
 from bulletarm_gym.check.robot import TILT, grid
 from bulletarm_gym.config import WORKSPACES
-from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.geometry import FloatArray, Pose, conjugate, euler_pose, multiply, wrap_angle
-from bulletarm_gym.robots import ROBOTS, OutOfReachError, Robot, RobotModel
+from bulletarm_gym.geometry import Pose, as_rotvec, euler_pose, wrap_angle
+from bulletarm_gym.robots import ROBOTS, OutOfReachError
 from bulletarm_gym.robots.kinematics import POSITION_TOLERANCE
 from bulletarm_gym.simulation.motion import interpolate_path
 
@@ -23,37 +21,33 @@ SHARES = {"kuka": (0.91, 0.74), "panda": (1.0, 0.9), "ur5": (1.0, 1.0), "ur5_rob
 
 
 @pytest.fixture(params=ROBOTS.values(), ids=lambda model: model.name)
-def model(request: pytest.FixtureRequest) -> RobotModel:
+def model(request):
     return request.param
 
 
-def at_rest(make: Make, model: RobotModel, fast: bool = True) -> ManipulationEnv:
-    env = make(PICKING, robot=model.name, fast_mode=fast)
-    env.reset(seed=0)
+def at_rest(make, model, fast=True):
+    env = make(PICKING, robot=model.name, fast_mode=fast, seed=0)
     env.scene["cube"].place(CORNER)
     return env
 
 
 @pytest.fixture
-def armed(make: Make, model: RobotModel) -> ManipulationEnv:
+def armed(make, model):
     return at_rest(make, model)
 
 
 @pytest.fixture
-def robot(armed: ManipulationEnv) -> Robot:
+def robot(armed):
     return armed.scene.robot
 
 
-def far(first: Pose, second: Pose) -> float:
+def far(first, second):
     """Return the distance (m) or the angle (rad) between two poses, whichever is larger."""
-    x, y, z, w = multiply(conjugate(first.orientation), second.orientation)
-    return max(math.dist(first.position, second.position), 2.0 * math.atan2(math.hypot(x, y, z), abs(w)))
+    change = first.inverse().compose(second)
+    return max(math.dist(first.position, second.position), math.hypot(*as_rotvec(change.orientation)))
 
 
-# Kinematics
-
-
-def reached(model: RobotModel, heights: Sequence[float], control: str, tilt: float = 0.0) -> float:
+def reached(model, heights, control, tilt=0.0):
     """Return the share of poses in reach; their solutions must be exact and inside the limits."""
     (lower, upper), found = model.chain.limits.T, []
     for pose in grid(WORKSPACES[control], heights, 5 if tilt else 7, tilt):
@@ -65,14 +59,14 @@ def reached(model: RobotModel, heights: Sequence[float], control: str, tilt: flo
     return float(np.mean(found))
 
 
-def test_inverse_kinematics_is_exact_within_the_limits(model: RobotModel) -> None:
+def test_inverse_kinematics_is_exact_within_the_limits(model):
     upright, tilted = SHARES[model.name]
     assert reached(model, (0.01, 0.07, 0.13, 0.19, 0.25), "close_loop") == 1.0
     assert reached(model, (0.02, 0.1, 0.25), "open_loop") >= upright
     assert reached(model, (0.02, 0.1, 0.2), "open_loop", TILT) >= tilted
 
 
-def test_solutions_are_exact_from_rotated_postures(model: RobotModel) -> None:
+def test_solutions_are_exact_from_rotated_postures(model):
     """A rotation error of half a turn is not mistaken for none."""
     poses = list(grid(WORKSPACES["close_loop"], (0.05, 0.2), 3))
     for joint, angle in itertools.product(range(len(model.joints)), (math.pi, math.pi / 2.0, -math.pi / 2.0)):
@@ -83,22 +77,18 @@ def test_solutions_are_exact_from_rotated_postures(model: RobotModel) -> None:
             assert error > POSITION_TOLERANCE or far(model.chain.forward(joints), pose) < 1e-3
 
 
-def test_joints_depend_on_the_pose_alone(robot: Robot) -> None:
+def test_joints_depend_on_the_pose_alone(robot):
     goal = Pose.planar(0.5, 0.1, 0.12, 0.4)
     first = robot.inverse_kinematics(goal)
     robot.home(Pose.planar(0.35, -0.1, 0.24, -1.0))
-    assert [wrap_angle(a - b) for a, b in zip(first, robot.inverse_kinematics(goal), strict=True)] == (
-        pytest.approx([0.0] * len(first))
-    )
+    turns = np.subtract(robot.inverse_kinematics(goal), first) / (2.0 * math.pi)
+    np.testing.assert_allclose(turns, np.rint(turns), atol=1e-6)
     with pytest.raises(OutOfReachError, match=robot.model.name):
         robot.move_to(Pose.planar(1.6, 0.0, 0.2))
 
 
-# Motions
-
-
 @pytest.mark.parametrize("fast", [True, False])
-def test_motions_arrive(make: Make, model: RobotModel, fast: bool) -> None:
+def test_motions_arrive(make, model, fast):
     env = at_rest(make, model, fast)
     robot, tilted = env.scene.robot, euler_pose((0.5, 0.08, 0.2), (TILT, 0.2, 0.6))
     for goal in (Pose.planar(0.5, 0.08, 0.2, 0.6), tilted, Pose.planar(0.45, 0.0, 0.15)):
@@ -113,7 +103,7 @@ def test_motions_arrive(make: Make, model: RobotModel, fast: bool) -> None:
         assert robot.opening_ratio == pytest.approx(ratio, abs=0.03) and robot.held is None
 
 
-def test_motions_keep_to_the_straight_line(robot: Robot) -> None:
+def test_motions_keep_to_the_straight_line(robot):
     """Near a joint limit of the wrist the elbow would swing by centimetres: such a motion is refused."""
     rng, tried = np.random.default_rng(0), 0
     for _ in range(100):
@@ -136,20 +126,17 @@ def test_motions_keep_to_the_straight_line(robot: Robot) -> None:
         assert deviation(robot, start, end) < 4e-3
 
 
-def deviation(robot: Robot, start: Pose, end: Pose) -> float:
+def deviation(robot, start, end):
     """Return the maximum distance (m) of a motion from the line between two poses."""
     stops = [robot.joint_positions, *robot._line(start, end), robot.inverse_kinematics(end)]
     path = interpolate_path(stops, np.linspace(0.0, 1.0, 41))
-    first, last = np.array(start.position), np.array(end.position)
-    return max(off_line(np.array(robot.model.chain.forward(j).position), first, last) for j in path)
+    points = np.array([robot.model.chain.forward(joints).position for joints in path]) - start.position
+    way = np.subtract(end.position, start.position)
+    shares = np.clip(points @ way / (way @ way), 0.0, 1.0)
+    return np.linalg.norm(points - shares[:, None] * way, axis=1).max()
 
 
-def off_line(point: FloatArray, start: FloatArray, end: FloatArray) -> float:
-    way = end - start
-    return math.dist(point, start + way * np.clip((point - start) @ way / (way @ way), 0.0, 1.0))
-
-
-def test_joints_move_to_positions_and_are_measured(armed: ManipulationEnv, robot: Robot) -> None:
+def test_joints_move_to_positions_and_are_measured(armed, robot):
     goal = np.add(robot.joint_positions, 0.1)
     armed.scene.begin()
     robot.move_joints(goal)
@@ -164,7 +151,7 @@ def test_joints_move_to_positions_and_are_measured(armed: ManipulationEnv, robot
 
 
 @pytest.mark.parametrize("direction", [1.0, -1.0])
-def test_rotation_stops_at_the_joint_limits(armed: ManipulationEnv, robot: Robot, direction: float) -> None:
+def test_rotation_stops_at_the_joint_limits_and_the_expert_goes_on(armed, robot, direction):
     lower, upper = robot.model.chain.limits.T
     armed.step([1.0, 0.6, 0.4, -0.5, 0.0])
     start = robot.pose
@@ -176,53 +163,41 @@ def test_rotation_stops_at_the_joint_limits(armed: ManipulationEnv, robot: Robot
     stopped = robot.pose.yaw
     armed.step([1.0, 0.0, 0.0, 0.0, -direction])
     assert wrap_angle(robot.pose.yaw - stopped) == pytest.approx(-direction * math.pi / 4.0, abs=0.02)
-
-
-@pytest.mark.parametrize("direction", [1.0, -1.0])
-def test_expert_rotates_away_from_a_joint_limit(armed: ManipulationEnv, direction: float) -> None:
-    armed.reset(seed=0)
-    for _ in range(10):
-        armed.step([1.0, 0.0, 0.0, 0.0, direction])
     solved, steps = finish(armed)
     assert solved and steps <= 20
 
 
 @pytest.mark.parametrize("task", ["BlockPicking", "BlockPulling"])
-def test_expert_solves_tasks_with_each_arm(make: Make, model: RobotModel, task: str) -> None:
+def test_expert_solves_tasks_with_each_arm(make, model, task):
     env = make(f"BulletArm/CloseLoop{task}-v0", robot=model.name)
-    for seed in range(3):
+    for seed in range(2):
         env.reset(seed=seed)
         solved, steps = finish(env)
         assert solved and steps <= 12
 
 
 @pytest.mark.parametrize("env_id", [env_id for env_id in TYPICAL if "Grasping" not in env_id])
-def test_initial_poses_do_not_depend_on_the_arm(make: Make, env_id: str) -> None:
-    starts = set()
-    for name in ("kuka", "panda", "ur5"):
-        env = make(env_id, robot=name, obs_size=16)
+def test_initial_poses_do_not_depend_on_the_arm(make, env_id):
+    envs, starts = [make(env_id, robot=name, obs_size=16) for name in ("kuka", "panda", "ur5")], set()
+    for env in envs:
         env.reset(seed=0)
         starts.add(tuple(item.pose for item in env.scene))
     assert len(starts) == 1
 
 
-# Grasps
-
-
-def grasp(env: ManipulationEnv, seed: int = 3) -> Pose:
+def grasp(env, seed=3):
     """Let the expert grasp the cube; return the cube's pose in the gripper."""
     env.reset(seed=seed)
     while env.scene.held is None or env.scene.robot.pose.z <= 0.1:
-        *_, truncated, _ = env.step(env.expert_action())
-        assert not truncated
+        env.step(env.expert_action())
     return in_hand(env)
 
 
-def in_hand(env: ManipulationEnv) -> Pose:
+def in_hand(env):
     return env.scene.robot.pose.inverse().compose(env.scene["cube"].pose)
 
 
-def test_gripper_holds_a_cube_until_it_opens(make: Make, model: RobotModel) -> None:
+def test_gripper_holds_a_cube_until_it_opens(make, model):
     env = make(PICKING, robot=model.name)
     start, rng, robot = grasp(env), np.random.default_rng(0), env.scene.robot
     cube = env.scene["cube"].body
@@ -240,16 +215,12 @@ def test_gripper_holds_a_cube_until_it_opens(make: Make, model: RobotModel) -> N
     assert robot.held is cube
     contacts = [contact for contact in robot.contacts if contact.other == cube]
     assert {contact.link for contact in contacts} == set(robot.finger_links)
-    assert all(contact.force >= 0.0 and contact.distance < 0.01 for contact in contacts)
     observation, *_ = step_on(env, [1.0, 0, 0, 0, 0])
     assert robot.held is None and observation["holding"] == [0.0]
     assert env.scene["cube"].pose.z == pytest.approx(0.025, abs=2e-3)
 
 
-# Torques
-
-
-def test_torques_agree_with_the_simulator(armed: ManipulationEnv, robot: Robot) -> None:
+def test_torques_agree_with_the_simulator(armed, robot):
     """Bullet's inverse dynamics counts the fingers where they are, ours at the tool."""
     world, slots = armed.scene.world, list(robot._arm.slots)
     rng, count = np.random.default_rng(0), len(robot.body.joints)

@@ -1,22 +1,13 @@
 """Predicates on objects, structures of blocks, and how the expert builds and corrects them."""
 
 import math
-from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import pytest
-from rollouts import Make, digest, finish
+from rollouts import digest, finish
 
 from bulletarm_gym.demonstrations import collect
-from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.experts.blueprint import Blueprint
-from bulletarm_gym.experts.pick_place import (
-    fingers_fit,
-    palm_fits,
-)
 from bulletarm_gym.geometry import Pose, euler_pose
-from bulletarm_gym.scene import Scene, SceneObject
 from bulletarm_gym.scene import predicates as are
 
 CUBE = 0.03
@@ -34,7 +25,7 @@ OPEN_STACKING = "BulletArm/OpenLoopBlockStacking-v0"
 PAIR = {"cube_0": (-0.025, 0.0), "cube_1": (0.025, 0.0)}
 
 
-def lay(env: ManipulationEnv, **places: Sequence[float]) -> ManipulationEnv:
+def lay(env, **places):
     """Place blocks at y, height of their lowest points and, if given, x and yaw; all others aside."""
     env.reset(seed=0)
     aside = np.linspace(-0.16, 0.16, len(env.scene.objects)).tolist()
@@ -46,24 +37,20 @@ def lay(env: ManipulationEnv, **places: Sequence[float]) -> ManipulationEnv:
     return env
 
 
-# Predicates
-
-
 @pytest.fixture
-def cubes(make: Make) -> Scene:
-    env = make(STACKING, num_objects=3)
-    env.reset(seed=0)
+def cubes(make):
+    env = make(STACKING, num_objects=3, seed=0)
     return env.scene
 
 
-def place(scene: Scene, *positions: tuple[float, float, float]) -> list[SceneObject]:
+def place(scene, *positions):
     """Place the cubes of 5 cm relative to x = 0.45, y = 0 m."""
     for obj, (x, y, z) in zip(scene.objects, positions, strict=True):
         obj.place(Pose.planar(0.45 + x, y, z))
     return scene.objects
 
 
-def test_stacked(cubes: Scene) -> None:
+def test_stacked(cubes):
     for positions, expected in (
         (((0.0, 0.0, 0.125), (0.01, 0.0, 0.025), (0.0, 0.01, 0.075)), True),
         (((0.0, 0.0, 0.125), (0.1, 0.0, 0.025), (0.0, 0.01, 0.075)), False),
@@ -73,7 +60,7 @@ def test_stacked(cubes: Scene) -> None:
         assert are.stacked(cubes, place(cubes, *positions)) is expected
 
 
-def test_relations_of_two_cubes(cubes: Scene) -> None:
+def test_relations_of_two_cubes(cubes):
     for aside, expected in ((0.024, True), (0.026, False)):
         first, second, _ = place(cubes, (0.0, 0.0, 0.025), (0.0, aside, 0.075), (0.1, 0.1, 0.075))
         assert are.on_top(cubes, first, second) is expected
@@ -84,7 +71,7 @@ def test_relations_of_two_cubes(cubes: Scene) -> None:
         assert are.touching(cubes, first, second) is expected
 
 
-def test_poses_of_one_cube(cubes: Scene) -> None:
+def test_poses_of_one_cube(cubes):
     cube = cubes.objects[0]
     for degrees, is_upright in ((19.0, True), (21.0, False), (90.0, False)):
         cube.place(euler_pose((0.45, 0.0, 0.1), (0.0, math.radians(degrees), 0.0)))
@@ -99,17 +86,13 @@ def test_poses_of_one_cube(cubes: Scene) -> None:
     assert not are.at_rest(cubes)
 
 
-# Success
-
-
 ROOF = {**PAIR, "roof": (0.0, CUBE)}
 UPPER = {"cube_2": (-0.03, 2 * CUBE), "cube_3": (0.03, 2 * CUBE), "roof": (0.0, 3 * CUBE)}
 FOUR_LAYERS = {**PAIR, "brick": (0.0, CUBE), **UPPER}
 
 
-@pytest.mark.parametrize(
-    ("env_id", "blocks", "expected"),
-    [
+def test_success_of_a_house(make):
+    for env_id, blocks, expected in (
         (HOUSE_2, ROOF, True),
         (HOUSE_2, {**ROOF, "roof": (0.0, CUBE, CENTRE + 0.012, math.pi)}, True),
         (HOUSE_2, {**ROOF, "roof": (0.028, CUBE)}, True),
@@ -117,7 +100,6 @@ FOUR_LAYERS = {**PAIR, "brick": (0.0, CUBE), **UPPER}
         (HOUSE_2, {**ROOF, "roof": (0.0, CUBE, CENTRE, math.radians(24.0))}, True),
         (HOUSE_2, {**ROOF, "roof": (0.0, CUBE, CENTRE, math.radians(27.0))}, False),
         (HOUSE_2, {**ROOF, "roof": (0.0, CUBE + 0.004)}, False),
-        (HOUSE_2, {**ROOF, "roof": (0.1, 0.0)}, False),
         (HOUSE_2, {**ROOF, "cube_1": (-0.025, 0.0, CENTRE, 0.5), "cube_0": (0.025, 0.0, CENTRE, 2.0)}, True),
         (HOUSE_2, {**ROOF, "cube_0": (0.0, 0.0), "cube_1": (0.1, 0.0)}, False),
         (HOUSE_4, FOUR_LAYERS, True),
@@ -125,25 +107,14 @@ FOUR_LAYERS = {**PAIR, "brick": (0.0, CUBE), **UPPER}
         (HOUSE_4, {**FOUR_LAYERS, "cube_3": (0.1, 0.0)}, False),
         (HOUSE_4, {**FOUR_LAYERS, "brick": (0.0, 3 * CUBE), "roof": (0.0, CUBE)}, False),
         (HOUSE_4, {**FOUR_LAYERS, "brick": (0.0, CUBE, CENTRE, 0.5)}, False),
-    ],
-)
-def test_success_of_a_house(make: Make, env_id: str, blocks: dict[str, Any], expected: bool) -> None:
-    env = lay(make(env_id), **blocks)
-    assert env.task.evaluate(env.scene)["success"] is expected
-
-
-def test_blueprint_rejects_layers_without_support() -> None:
-    with pytest.raises(ValueError, match=r"layers must .* got 3 on 2"):
-        Blueprint([["cube"] * 2, ["cube"] * 3], (), CUBE)
-
-
-# Starts and the expert
+    ):
+        env = lay(make(env_id), **blocks)
+        assert env.task.evaluate(env.scene)["success"] is expected
 
 
 @pytest.mark.parametrize("env_id", [HOUSE_2, RAMP])
-def test_a_fallen_roof_ends_the_episode(make: Make, env_id: str) -> None:
-    env = make(env_id)
-    env.reset(seed=0)
+def test_a_fallen_roof_ends_the_episode(make, env_id):
+    env = make(env_id, seed=0)
     roof = env.scene["roof"]
     assert env.task.is_valid(env.scene)
     roof.place(roof.pose.compose(euler_pose((0.0, 0.0, 0.0), (math.pi, 0.0, 0.0))))
@@ -151,91 +122,63 @@ def test_a_fallen_roof_ends_the_episode(make: Make, env_id: str) -> None:
     assert (reward, terminated, info["is_valid"]) == (0.0, True, False)
 
 
-@pytest.mark.parametrize(
-    ("env_id", "parameters", "picks"),
-    [
+def test_expert_needs_two_steps_a_block(make):
+    """The first block stays where it is, except on bumps."""
+    for env_id, parameters, picks in (
         (HOUSE_4, {}, 5),
         (IMPROVISE_3, {}, 3),
         (BUMP, {}, 6),
         (HOUSE_1, {"action_sequence": "xyzrrr"}, 3),
         (HOUSE_1, {"half_rotation": False, "workspace": [[0.3, 0.6], [-0.1, 0.2], [0.0, 0.5]]}, 3),
         (HOUSE_1, {"object_scale_range": [0.5, 0.8], "num_objects": 3}, 2),
-    ],
-    ids=str,
-)
-def test_expert_needs_two_steps_a_block(make: Make, env_id: str, parameters: Any, picks: int) -> None:
-    """The first block stays where it is, except on bumps."""
-    env = make(env_id, **parameters)
-    env.reset(seed=1)
-    assert finish(env) == (True, 2 * picks)
+    ):
+        env = make(env_id, **parameters, seed=1)
+        assert finish(env) == (True, 2 * picks)
 
 
-@pytest.mark.parametrize(
-    ("wrong", "steps"),
-    [
+def test_expert_takes_wrong_structures_apart(make):
+    for wrong, steps in (
         ({"cube_0": (0.0, 0.0), "brick": (0.0, CUBE)}, 8),
         ({**PAIR, "roof": (0.0, CUBE)}, 6),
         ({**PAIR, "brick": (0.0, CUBE, CENTRE, 1.0)}, 4),
         ({"cube_0": (0.0, 0.0), "cube_1": (0.0, CUBE)}, 6),
         ({"brick": (0.0, 0.0), "cube_0": (-0.03, CUBE), "cube_1": (0.03, CUBE)}, 8),
-    ],
-    ids=str,
-)
-def test_expert_takes_wrong_structures_apart(make: Make, wrong: dict[str, Any], steps: int) -> None:
-    solved, count = finish(lay(make(HOUSE_3), **wrong))
-    assert solved and count <= steps
+    ):
+        solved, count = finish(lay(make(HOUSE_3), **wrong))
+        assert solved and count <= steps
 
 
-@pytest.mark.parametrize(("robot", "fits"), [("panda", False), ("kuka", True)])
-def test_a_wide_palm_needs_space_above_neighbours(make: Make, robot: str, fits: bool) -> None:
-    env = lay(make(HOUSE_3, robot=robot), cube_0=(0.0, 0.0), brick=(0.0, 0.045, CENTRE + 0.09))
-    cube, above = env.scene["cube 0"], Pose.planar(CENTRE, 0.0, CUBE / 2.0)
-    assert fingers_fit(env.scene, above, cube)
-    assert palm_fits(env.scene, above, cube) == fits
-    assert palm_fits(env.scene, above.compose(Pose.planar(0.0, 0.0, 0.0, math.pi / 2.0)), cube)
-
-
-@pytest.mark.parametrize("seed", [25, 78, 111])
-def test_random_blocks_are_placed_without_a_rotation(make: Make, seed: int) -> None:
+def test_random_blocks_are_placed_without_a_rotation(make):
     """The blocks of these seeds are grasped off their middles, and their line points backwards."""
     env = make(IMPROVISE_2, action_sequence="pxy", random_orientation=False)
-    env.reset(seed=seed)
-    assert finish(env) == (True, 4)
+    for seed in (25, 78, 111):
+        env.reset(seed=seed)
+        assert finish(env) == (True, 4)
 
 
-# Finished structures, and the planner that takes them apart
-
-
-@pytest.mark.parametrize(
-    "env_id", [OPEN_STACKING, HOUSE_1, IMPROVISE_3, RAMP, "BulletArm/CloseLoopHouseBuilding-v0"]
-)
-def test_goal_starts_are_solved_and_repeatable(make: Make, env_id: str) -> None:
+@pytest.mark.parametrize("env_id", [OPEN_STACKING, IMPROVISE_3, RAMP, STACKING])
+def test_goal_starts_are_solved_and_repeatable(make, env_id):
     env = make(env_id)
-    for seed in range(3):
+    for seed in range(2):
         first, info = env.reset(seed=seed, options={"start": "goal"})
         assert info["is_success"] and info["is_valid"] and first in env.observation_space
         assert digest(first) == digest(env.reset(seed=seed, options={"start": "goal"})[0])
-    assert not env.reset(seed=0)[1]["is_success"]
 
 
-@pytest.mark.parametrize(
-    ("env_id", "env_kwargs"),
-    [
+def test_demonstrations_rebuild_the_structure(make):
+    for env_id, env_kwargs in (
         (OPEN_STACKING, {"action_sequence": "pxy", "random_orientation": False}),
         (IMPROVISE_3, {}),
-        *((HOUSE_1, {"robot": robot}) for robot in ("kuka", "panda", "ur5", "ur5_robotiq")),
-    ],
-    ids=str,
-)
-def test_demonstrations_rebuild_the_structure(make: Make, env_id: str, env_kwargs: dict[str, Any]) -> None:
-    demonstrations = collect(env_id, 3, "deconstruction", seed=0, env_kwargs=env_kwargs)
-    assert demonstrations.attempts <= 4
-    env = make(env_id, **env_kwargs)
-    steps = 2 * (env.config.num_objects - 1)
-    for episode in demonstrations:
-        np.testing.assert_array_equal(episode.observations["holding"][:-1, 0], np.resize([0.0, 1.0], steps))
-        assert not episode.observations["in_hand"][::2].any()
-        assert all(image.any() for image in episode.observations["in_hand"][1::2])
-    env.set_state(demonstrations[0].state)
-    if "random_orientation" in env_kwargs:
-        assert [obj.pose.yaw for obj in env.scene] == pytest.approx([0.0] * 4, abs=1e-4)
+        *((HOUSE_1, {"robot": robot}) for robot in ("panda", "ur5_robotiq")),
+    ):
+        demonstrations = collect(env_id, 2, "deconstruction", seed=0, env_kwargs=env_kwargs)
+        assert demonstrations.attempts <= 3
+        env = make(env_id, **env_kwargs)
+        steps = 2 * (env.config.num_objects - 1)
+        for episode in demonstrations:
+            holding, in_hand = (episode.observations[name][:-1] for name in ("holding", "in_hand"))
+            for is_held in (holding[:, 0] == 1.0, in_hand.any(axis=(1, 2, 3))):
+                np.testing.assert_array_equal(is_held, np.resize([False, True], steps))
+        env.set_state(demonstrations[0].state)
+        if "random_orientation" in env_kwargs:
+            assert [obj.pose.yaw for obj in env.scene] == pytest.approx([0.0] * 4, abs=1e-4)

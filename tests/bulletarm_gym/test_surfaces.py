@@ -2,25 +2,15 @@
 
 import math
 import re
-from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
-from rollouts import Make
 
-from bulletarm_gym.env import ManipulationEnv
-from bulletarm_gym.geometry import Footprint, PlacementError, Pose
-from bulletarm_gym.objects.blocks import SHAPES
+from bulletarm_gym.geometry import Footprint, PlacementError
 from bulletarm_gym.observations import HeightRenderer, Window
-from bulletarm_gym.scene import Scene
-from bulletarm_gym.scene.predicates import on_site, on_surface, touching
-from bulletarm_gym.scene.sampling import (
-    footprint,
-    free_site,
-    place_apart,
-)
-from bulletarm_gym.scene.scene import MAX_BODIES
+from bulletarm_gym.scene.predicates import on_site, on_surface
+from bulletarm_gym.scene.sampling import footprint, free_site, place_apart
 from bulletarm_gym.simulation import World
 from bulletarm_gym.simulation.state import PHYSICS_MODES
 from bulletarm_gym.surfaces import SURFACES, RampSurface
@@ -28,7 +18,6 @@ from bulletarm_gym.surfaces import SURFACES, RampSurface
 ENV_ID = "BulletArm/CloseLoopBlockStacking-v0"
 WORKSPACE = [[0.25, 0.65], [-0.2, 0.2], [0.01, 0.5]]
 PARAMETERS = {"workspace": WORKSPACE, "num_objects": 4, "object_scale_range": 0.6}
-PACKING = "BulletArm/OpenLoopBinPacking-v0"
 PIXELS = 96
 SKIN = 2e-3
 """Maximum thickness (m) of the skin around Bullet's convex hulls, such as pyramids."""
@@ -37,18 +26,18 @@ SHOULDER = 2
 
 
 @pytest.fixture(params=["flat", "ramp", "bump"])
-def env(request: pytest.FixtureRequest, make: Make) -> ManipulationEnv:
+def env(request, make):
     return make(ENV_ID, surface=request.param, **PARAMETERS)
 
 
-def load(name: str, site: tuple[float, float] = (0.03, 0.03)) -> Any:
+def load(name, site=(0.03, 0.03)):
     """Return a surface in a world of its own."""
     surface = SURFACES[name](WORKSPACE, site)
     surface.load(World(PHYSICS_MODES["fast"]))
     return surface
 
 
-def grid() -> np.ndarray:
+def grid():
     """Return the centres of the pixels of a heightmap of the workspace, (n, 2)."""
     (x0, x1), (y0, y1), _ = WORKSPACE
     line = (np.arange(PIXELS) + 0.5) / PIXELS
@@ -56,9 +45,9 @@ def grid() -> np.ndarray:
     return np.stack([x, y], axis=-1).reshape(-1, 2)
 
 
-def test_heightmap_and_simulation_have_the_heights_of_the_surface(env: ManipulationEnv) -> None:
+def test_heightmap_and_simulation_have_the_heights_of_the_surface(env):
     scene, points = env.scene, grid()
-    for seed in range(10):
+    for seed in range(4):
         scene.clear(np.random.default_rng(seed))
         window = Window(env.config.centre, env.config.workspace_size, PIXELS)
         rendered = HeightRenderer.of(scene).heights(window).ravel()
@@ -72,7 +61,7 @@ def test_heightmap_and_simulation_have_the_heights_of_the_surface(env: Manipulat
     assert np.abs(struck - scene.surface.heights(points))[ground].max() < SKIN
 
 
-def test_ranges_of_the_ramps() -> None:
+def test_ranges_of_the_ramps():
     ramp, rng, rows = load("ramp"), np.random.default_rng(0), []
     for _ in range(1000):
         ramp.arrange(rng)
@@ -93,7 +82,7 @@ def test_ranges_of_the_ramps() -> None:
         assert 0.1 <= wide.gap <= 0.2
 
 
-def test_ranges_of_the_bumps() -> None:
+def test_ranges_of_the_bumps():
     bump, rng, slopes, places = load("bump"), np.random.default_rng(0), [], []
     for _ in range(1000):
         bump.arrange(rng)
@@ -106,9 +95,9 @@ def test_ranges_of_the_bumps() -> None:
     assert bump.level == pytest.approx(0.1 * math.tan(math.pi / 12.0))
 
 
-def test_placed_objects_fit_and_stay(env: ManipulationEnv) -> None:
+def test_placed_objects_fit_and_stay(env):
     scene, on_strip = env.scene, []
-    for seed in range(20):
+    for seed in range(12):
         rng = np.random.default_rng(seed)
         scene.clear(rng)
         place_apart(scene, rng, scene.objects, gap=0.03)
@@ -125,7 +114,7 @@ def test_placed_objects_fit_and_stay(env: ManipulationEnv) -> None:
         assert 0.1 < np.mean(on_strip) < 0.6
 
 
-def test_sites_are_level_free_and_inside(env: ManipulationEnv) -> None:
+def test_sites_are_level_free_and_inside(env):
     scene, surface, rng = env.scene, env.scene.surface, np.random.default_rng(3)
     for size in ((0.03, 0.03), (0.035, 0.12)) * 15:
         scene.clear(rng)
@@ -142,7 +131,7 @@ def test_sites_are_level_free_and_inside(env: ManipulationEnv) -> None:
         surface.goal_site((0.3, 0.5), rng)
 
 
-def test_surface_that_does_not_fit_the_task_is_refused() -> None:
+def test_surface_that_does_not_fit_the_task_is_refused():
     for name, surface, others in (
         ("CloseLoopBlockStacking", "lawn", "one of 'flat'"),
         ("OpenLoopBottleArrangement", "ramp", "'flat'.*bottles fall"),
@@ -156,77 +145,22 @@ def test_surface_that_does_not_fit_the_task_is_refused() -> None:
         gymnasium.make("BulletArm/CloseLoopBlockPicking-v0", surface="ramp", close_loop_tray=True)
 
 
-@pytest.mark.parametrize(
-    ("name", "parameters", "seeds"),
-    [
+def test_scenes_with_little_space_are_valid(make):
+    for name, parameters, seeds in (
         ("CloseLoopBlockInBowl", {"surface": "bump"}, range(8)),  # without space the surface is sampled again
         ("OpenLoopBumpBoxPalletizing", {"random_orientation": False}, (295, 341, 404)),
         ("OpenLoopBumpHouseBuilding4", {"workspace_check": "bounding_box"}, (382, 470, 483, 701)),
-    ],
-)
-def test_scenes_with_little_space_are_valid(make: Make, name: str, parameters: Any, seeds: Any) -> None:
-    env = make(f"BulletArm/{name}-v0", **parameters)
-    assert all(env.reset(seed=seed)[1]["is_valid"] for seed in seeds)
+    ):
+        env = make(f"BulletArm/{name}-v0", **parameters)
+        assert all(env.reset(seed=seed)[1]["is_valid"] for seed in seeds)
 
 
 @pytest.mark.parametrize("robot", ["kuka", "panda", "ur5"])
-def test_ramps_keep_clear_of_the_arm(make: Make, robot: str) -> None:
+def test_ramps_keep_clear_of_the_arm(make, robot):
     scene = make(ENV_ID, surface="ramp", robot=robot, **PARAMETERS).scene
-    for seed in range(50):
+    for seed in range(20):
         scene.clear(np.random.default_rng(seed))
         plates = [body for body in scene.surface.bodies[1:] if scene.world.active[body.index]]
-        assert len(plates) == 2
-        for plate in plates:
-            points = scene.world.closest_points(scene.robot.body, plate, 0.02)
-            # The base is as fixed as the plate.
-            assert not any(0 <= point.link < SHOULDER for point in points)
-
-
-# Sampling of poses
-
-
-@pytest.fixture
-def scene(make: Make) -> Scene:
-    env = make(ENV_ID, num_objects=3)
-    env.reset(seed=0)
-    return env.scene
-
-
-# Loaded bodies
-
-
-def test_a_range_of_sizes_keeps_all_sizes_and_shapes_in_few_bodies(make: Make) -> None:
-    full, env = make(PACKING), make(PACKING, object_scale_range=[0.7, 0.9])
-    assert all(len(obj.choices) == len(obj.slot.variants) for obj in full.scene.objects)
-    assert len(env.scene.world.bodies) <= MAX_BODIES + 2  # with ground and arm
-    pairs = set()
-    for obj in env.scene.objects[1:]:
-        own = {tuple(obj.slot.variants[place].name.split()[-2:]) for place in obj.choices}
-        assert len({shape for shape, _ in own}) == len(SHAPES) and len({scale for _, scale in own}) >= 7
-        pairs |= own
-    assert len(pairs) == len(SHAPES) * len(env.config.scales)
-
-
-# Values that are computed once a pose
-
-
-def test_relations_and_heightmaps_follow_the_poses(make: Make) -> None:
-    env = make("BulletArm/OpenLoopBlockStacking-v0")
-    env.reset(seed=0)
-    scene, window = env.scene, Window(env.config.centre, env.config.workspace_size, 64)
-    first, second = list(scene)[:2]
-    renderer, before = HeightRenderer.of(scene), footprint(first)
-    assert footprint(first) is before and not touching(scene, first, second)
-    x, y, z = second.pose.position
-    first.place(Pose((x, y, z + second.spec.extents[2])))
-    assert touching(scene, first, second) and footprint(first).centre == pytest.approx((x, y))
-    assert first.lowest == pytest.approx(second.bounds[1, 2], abs=1e-6)
-    state, alone = env.get_state(), renderer.heights_of([first.body], window)
-    first.place(Pose((x + 0.1, y, z)))
-    assert not touching(scene, first, second)
-    assert not np.array_equal(renderer.heights_of([first.body], window), alone)
-    env.set_state(state)
-    assert touching(scene, first, second)
-    np.testing.assert_array_equal(renderer.heights_of([first.body], window), alone)
-    first.park()
-    assert renderer.heights_of([first.body], window).max() == 0.0
+        near = [point for one in plates for point in scene.world.closest_points(scene.robot.body, one, 0.02)]
+        # The base is as fixed as the plates.
+        assert len(plates) == 2 and not any(0 <= point.link < SHOULDER for point in near)

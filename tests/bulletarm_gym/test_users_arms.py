@@ -1,11 +1,9 @@
 """Arms of users: each model is simulated as its file says, or refused with the reason."""
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
@@ -15,35 +13,22 @@ import pytest
 from rollouts import PICKING, finish
 
 from bulletarm_gym.config import WORKSPACES, ParameterError
-from bulletarm_gym.geometry import Pose, conjugate, euler_pose, multiply
-from bulletarm_gym.robots import (
-    KUKA,
-    PANDA,
-    ROBOTS,
-    Gripper,
-    ParallelJaw,
-    RobotModel,
-    attach,
-    on_slides,
-    read_urdf,
-    without,
-)
-from bulletarm_gym.robots.editing import LIGHT, add_link, box
+from bulletarm_gym.geometry import Pose, euler_pose, matrix
+from bulletarm_gym.robots import KUKA, PANDA, ROBOTS, Gripper, ParallelJaw, RobotModel
+from bulletarm_gym.robots.editing import LIGHT, add_link, attach, box, on_slides, without
 from bulletarm_gym.simulation.client import Client
 from bulletarm_gym.simulation.loading import load_urdf
-from bulletarm_gym.simulation.urdf import add_joint, find_joint, find_link, frame_of, to_text
+from bulletarm_gym.simulation.urdf import add_joint, find_joint, frame_of, read_urdf, to_text
 
 ORIGIN = Pose((0.0, 0.0, 0.0))
 FINGERS = ("left_finger_joint", "right_finger_joint")
 PART = box((0.05, 0.05, 0.05), (0.0, 0.0, 0.0), LIGHT)
 
-Change = Callable[[Element], object]
 
-
-def changed_kuka(change: Change, **changes: Any) -> RobotModel:
+def changed_kuka(change, **changes):
     """Return the KUKA with a change of its URDF."""
 
-    def load() -> Element:
+    def load():
         root = KUKA.load()
         change(root)
         return root
@@ -51,10 +36,7 @@ def changed_kuka(change: Change, **changes: Any) -> RobotModel:
     return replace(KUKA, load=load, **changes)
 
 
-# Kinematics
-
-
-def random_arm(rng: np.random.Generator) -> tuple[Element, tuple[str, ...]]:
+def random_arm(rng):
     """Return a chain of random joints with two fingers, and the names of the arm's joints.
 
     Some joints are fixed, prismatic or not named. Only the last one needs to be revolute and named.
@@ -80,20 +62,18 @@ def random_arm(rng: np.random.Generator) -> tuple[Element, tuple[str, ...]]:
     return root, tuple(named)
 
 
-@pytest.mark.parametrize("seed", range(8))
-def test_forward_kinematics_equals_the_pose_of_the_link_in_bullet(seed: int) -> None:
+@pytest.mark.parametrize("seed", range(6))
+def test_forward_kinematics_equals_the_pose_of_the_link_in_bullet(seed):
     """Joints of all types. Joints that are not named are fixed at 0, or at their limit nearest to 0."""
     rng = np.random.default_rng(seed)
     root, names = random_arm(rng)
-    text = to_text(root)
     kinds = {joint.get("name"): joint.get("type") for joint in root.findall("joint")}
     tool, base = Pose((0.03, -0.02, 0.1)), euler_pose((0.1, 0.2, 0.3), (0.0, 0.0, 0.4))
     gripper = Gripper(stroke=0.1, finger=(0.01, 0.02, 0.05))
     model = RobotModel("random", lambda: root, names, tool, gripper, base, (0.0,) * len(names), 10.0)
     positions = rng.uniform(-0.9, 1.4, len(names))
-    ours = model.chain.forward(positions)
     client, moved = Client(), dict(zip(names, positions.tolist(), strict=True))
-    body, _ = load_urdf(client, "file", text, base)
+    body, _ = load_urdf(client, "file", to_text(root), base)
     for joint in range(client.getNumJoints(body)):
         info = client.getJointInfo(body, joint)
         name = info[1].decode()
@@ -104,54 +84,40 @@ def test_forward_kinematics_equals_the_pose_of_the_link_in_bullet(seed: int) -> 
             last = joint
     state = client.getLinkState(body, last, computeForwardKinematics=True)
     simulated = Pose(state[4], state[5]).compose(tool)
-    x, y, z, w = multiply(ours.orientation, conjugate(simulated.orientation))
-    assert math.dist(ours.position, simulated.position) < 1e-6
-    assert 2.0 * math.atan2(math.hypot(x, y, z), abs(w)) < 1e-6
+    ours = model.chain.forward(positions)
+    np.testing.assert_allclose(ours.position, simulated.position, atol=1e-6)
+    np.testing.assert_allclose(matrix(ours), matrix(simulated), atol=1e-6)
 
 
-def test_arm_hangs_from_the_ceiling() -> None:
-    posture = (0.0, 0.3, 0.0, -1.2, 0.0, -1.5, 0.0)
-    model = replace(KUKA, base=euler_pose((0.05, 0.0, 1.2), (math.pi, 0.0, 0.0)), posture=posture)
-    for x, y in ((0.35, -0.1), (0.55, 0.1)):
-        assert model.inverse(Pose.planar(x, y, 0.15))[1] < 1e-4
-
-
-@pytest.mark.parametrize(
-    ("robot", "base", "is_refused"),
-    [
+def test_workspace_around_or_behind_the_base_is_refused():
+    """There the first joint of neighbouring positions differs by up to a turn, and motions get stuck."""
+    for robot, base, is_refused in (
         ("kuka", euler_pose((0.45, 0.0, 1.3), (math.pi, 0.0, 0.0)), True),
         ("panda", Pose((1.0, 0.0, 0.0)), True),
         ("panda", Pose.planar(1.0, 0.0, 0.0, math.pi), False),
-        ("kuka", Pose((0.3, 0.0, 0.0)), False),
         ("ur5", Pose((1.0, 0.0, 0.0)), False),  # its first joint makes whole turns
-    ],
-)
-def test_workspace_around_or_behind_the_base_is_refused(robot: str, base: Pose, is_refused: bool) -> None:
-    """There the first joint of neighbouring positions differs by up to a turn, and motions get stuck."""
-    model = replace(ROBOTS[robot], base=base)
-    assert model.jumps_inside(WORKSPACES["close_loop"]) == is_refused
-    if is_refused:
-        with pytest.raises(ParameterError, match=rf"workspace.*{robot}.*\({base.x:g}, 0\)"):
-            gymnasium.make("BulletArm/CloseLoopBlockReaching-v0", robot=model)
+    ):
+        model = replace(ROBOTS[robot], base=base)
+        assert model.jumps_inside(WORKSPACES["close_loop"]) == is_refused
+        if is_refused:
+            with pytest.raises(ParameterError, match=rf"workspace.*{robot}.*\({base.x:g}, 0\)"):
+                gymnasium.make("BulletArm/CloseLoopBlockReaching-v0", robot=model)
 
 
-# Structure
-
-
-def put(part: str, path: str, **attributes: str) -> Change:
+def put(part, path, **attributes):
     """Return a change that sets attributes of a part of a link or joint."""
 
-    def change(root: Element) -> None:
+    def change(root):
         (element,) = [one for one in root if one.get("name") == part]
         (element.findall(path)[0] if path else element).attrib.update(attributes)
 
     return change
 
 
-def drop(name: str, tag: str) -> Change:
+def drop(name, tag):
     """Return a change that removes parts of a link or joint."""
 
-    def change(root: Element) -> None:
+    def change(root):
         (element,) = [one for one in root if one.get("name") == name]
         for part in element.findall(tag):
             element.remove(part)
@@ -159,30 +125,24 @@ def drop(name: str, tag: str) -> Change:
     return change
 
 
-def mimic(name: str, source: str) -> Change:
+def mimic(name, source):
     """Return a change that couples a joint to another."""
     return lambda root: SubElement(find_joint(root, name), "mimic", joint=source, multiplier="0.5")
 
 
-def cone(root: Element) -> None:
-    SubElement(find_link(root, "lbr_iiwa_link_3").findall("collision/geometry")[0], "cone")
-
-
-def rod(root: Element) -> None:
+def rod(root):
     """Add a rod that keeps a link level, as palletizing arms have it."""
     add_link(root, "rod", 0.1, [PART])
     add_joint(root, "revolute", "rod", ("lbr_iiwa_link_2", "rod"), ORIGIN, (0.0, 1.0, 0.0))
     mimic("rod", KUKA.joints[1])(root)
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
+def test_urdf_that_cannot_be_simulated_is_refused():
+    for change, words in (
         (lambda root: SubElement(root, "link", name="lbr_iiwa_link_3"), ("distinct", "lbr_iiwa_link_3")),
         (partial(add_link, name="loose", mass=1.0, primitives=[PART]), ("one root link", "loose")),
         (drop("lbr_iiwa_link_3", "inertial"), ("mass", "lbr_iiwa_link_3")),
         (put("lbr_iiwa_link_3", "inertial/mass", value="5kg"), ("<mass>", "5kg")),
-        (cone, ("<geometry>", "cone", "lbr_iiwa_link_3")),
         (put(KUKA.joints[2], "axis", xyz="0 0 0"), ("axis", KUKA.joints[2])),
         (put(KUKA.joints[3], "origin", xyz="0 0 ${height}"), ("<origin>", "${height}")),
         (drop(KUKA.joints[1], "limit"), ("<limit>", KUKA.joints[1])),
@@ -198,18 +158,14 @@ def rod(root: Element) -> None:
         (put(FINGERS[0], "parent", link="lbr_iiwa_link_3"), ("chain", FINGERS[0])),
         (drop("left_finger", "collision"), ("<collision>", "left_finger")),
         (mimic(*FINGERS), ("equally", FINGERS[0])),
-    ],
-    ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
-)
-def test_urdf_that_cannot_be_simulated_is_refused(change: Change, words: tuple[str, ...]) -> None:
-    with pytest.raises(ValueError) as error:
-        _ = changed_kuka(change).chain
-    assert all(word in str(error.value) for word in words)
+    ):
+        with pytest.raises(ValueError) as error:
+            _ = changed_kuka(change).chain
+        assert all(word in str(error.value) for word in words)
 
 
-@pytest.mark.parametrize(
-    ("field", "value", "words"),
-    [
+def test_invalid_field_of_a_model_or_a_gripper_is_named():
+    for field, value, words in (
         ("joints", KUKA.joints[::-1], ("chain", "lbr_iiwa_joint_7")),
         ("joints", (*KUKA.joints[:-1], "nothing"), ("nothing",)),
         ("tool", KUKA.tool.compose(Pose.planar(0.0, 0.0, 0.0, math.pi / 2.0)), ("tool", "90 degrees")),
@@ -217,58 +173,37 @@ def test_urdf_that_cannot_be_simulated_is_refused(change: Change, words: tuple[s
         ("posture", (0.0, 0.6, 0.0), ("posture", "(7,)")),
         ("posture", (math.nan,) * 7, ("posture", "nan")),
         ("posture", (0.0, 0.6, 0.0, -2.5, 0.0, 0.7, 0.0), ("posture", "-2.5", "lbr_iiwa_joint_4")),
-        ("force", (300.0, 300.0), ("force", "(7,)")),
         ("force", 0.0, ("force", "positive")),
-    ],
-)
-def test_invalid_field_of_a_model_is_named(field: str, value: Any, words: tuple[str, ...]) -> None:
-    with pytest.raises(ValueError) as error:
-        _ = replace(KUKA, **{field: value}).chain
-    assert all(word in str(error.value) for word in words)
+        *(
+            (f"gripper.{field}", value, (field,))
+            for field, value in (("stroke", 0.0), ("speed", math.nan), ("force", -1.0), ("joints", ("one",)))
+        ),
+    ):
+        part = KUKA.gripper if field.startswith("gripper.") else KUKA
+        with pytest.raises(ValueError) as error:
+            _ = replace(part, **{field.removeprefix("gripper."): value}).chain
+        assert all(word in str(error.value) for word in words)
 
 
-def test_invalid_field_of_a_gripper_is_named() -> None:
-    wrong = {"stroke": 0.0, "speed": math.nan, "force": -1.0, "finger": (0.01, 0.02), "joints": ("one",)}
-    for field, value in wrong.items():
-        with pytest.raises(ValueError, match=field):
-            replace(KUKA.gripper, **{field: value})
-
-
-def test_sequences_become_tuples_and_names_may_have_quotes() -> None:
-    name = """the "arm's" joint"""
-    joints = [*KUKA.joints[:2], name, *KUKA.joints[3:]]
-    changes: dict[str, Any] = {"joints": joints, "posture": np.array(KUKA.posture), "force": [100] * 7}
-    model = changed_kuka(put(KUKA.joints[2], "", name=name), **changes)
-    assert (model.joints, model.posture, model.force) == (tuple(joints), KUKA.posture, (100.0,) * 7)
-    assert len(model.chain.axes) == 7
-
-
-@pytest.mark.parametrize(
-    "mesh",
-    ["package://my_arm/meshes/base.obj", "package://meshes/base.obj", "../meshes/base.obj", "file://{}"],
-)
-def test_meshes_of_a_folder_are_found(mesh: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    package = tmp_path / "my_arm"
+def test_meshes_of_a_folder_are_found(tmp_path, monkeypatch):
     for folder in ("urdf", "meshes"):
-        (package / folder).mkdir(parents=True)
-    file, obj = package / "urdf" / "arm.urdf", package / "meshes" / "base.obj"
-    visual = f'<visual><geometry><mesh filename="{mesh.format(obj)}"/></geometry></visual>'
+        (tmp_path / "my_arm" / folder).mkdir(parents=True)
+    file, obj = tmp_path / "my_arm" / "urdf" / "arm.urdf", tmp_path / "my_arm" / "meshes" / "base.obj"
     obj.write_text("v 0 0 0\nf 1 1 1\n")
-    file.write_text(f'<robot name="arm"><link name="base">{visual}</link></robot>')
     monkeypatch.chdir(tmp_path)
-    for source in (file, str(file.relative_to(tmp_path))):
-        (found,) = read_urdf(source).iter("mesh")
-        assert found.get("filename") == str(obj) or Path(found.get("filename", "")).samefile(obj)
+    for mesh in ("package://my_arm/meshes/base.obj", "package://meshes/base.obj", "../meshes/base.obj"):
+        visual = f'<visual><geometry><mesh filename="{mesh}"/></geometry></visual>'
+        file.write_text(f'<robot name="arm"><link name="base">{visual}</link></robot>')
+        for source in (file, str(file.relative_to(tmp_path))):
+            (found,) = read_urdf(source).iter("mesh")
+            assert Path(found.get("filename")).samefile(obj)
     obj.unlink()
     with pytest.raises(ValueError, match=r"the mesh '.*base.obj'"):
         read_urdf(file)
 
 
-# Fingers
-
-
-def test_finger_with_a_negative_axis_opens_like_the_other() -> None:
-    def reverse(root: Element) -> None:
+def test_finger_with_a_negative_axis_opens_like_the_other():
+    def reverse(root):
         put(FINGERS[0], "axis", xyz="-2 0 0")(root)
         put(FINGERS[0], "limit", lower="-0.0425", upper="0")(root)
 
@@ -285,7 +220,7 @@ SLIDES = """<robot name="vx"><link name="palm"/><link name="bar"/><link name="le
 <mimic joint="l" multiplier="-1"/></joint></robot>"""
 
 
-def test_on_slides_keeps_fixed_joints_and_moves_prismatic_fingers() -> None:
+def test_on_slides_keeps_fixed_joints_and_moves_prismatic_fingers():
     root = on_slides(ElementTree.fromstring(SLIDES), "palm", ("l", "r"), closed=0.021, opened=0.057)
     offset = 0.021 * np.array((-math.sin(0.5), math.cos(0.5), 0.0))
     for name, sign in (("l", 1.0), ("r", -1.0)):
@@ -296,14 +231,13 @@ def test_on_slides_keeps_fixed_joints_and_moves_prismatic_fingers() -> None:
         assert float(joint.findall("limit")[0].get("upper", "")) == pytest.approx(0.036)
 
 
-def test_on_slides_names_the_invalid_argument() -> None:
-    arguments: dict[str, Any] = {"carrier": "palm", "fingers": ("l", "r"), "closed": 0.021, "opened": 0.057}
+def test_on_slides_names_the_invalid_argument():
+    arguments = {"carrier": "palm", "fingers": ("l", "r"), "closed": 0.021, "opened": 0.057}
     for changes, words in (
         ({"fingers": ("l", "thumb")}, "no joint.*thumb"),
         ({"carrier": "hand"}, "no link.*hand"),
         ({"carrier": "left"}, "attached.*'left'|'left'.*attached"),
         ({"closed": 0.057, "opened": 0.021}, r"opened.*0\.021"),
-        ({"closed": math.nan}, "opened.*nan"),
     ):
         with pytest.raises(ValueError, match=words):
             on_slides(ElementTree.fromstring(SLIDES), **(arguments | changes))
@@ -313,25 +247,26 @@ JAW = ParallelJaw(stroke=0.08, palm=(0.1, 0.05, 0.05), finger=(0.01, 0.02, 0.08)
 FLANGE = Pose((0.0, 0.0, 0.107))
 
 
-def bare_panda() -> Element:
+def bare_panda():
     return without(PANDA.load(), "panda_hand")
 
 
-def test_jaw_replaces_the_gripper_of_an_arm() -> None:
+def test_jaw_replaces_the_gripper_of_an_arm():
     root = bare_panda()
     assert [link.get("name") for link in root.findall("link")][-1] == "panda_link8"
     assert len(root.findall("joint")) == len(root.findall("link")) - 1
     load = partial(JAW.fitted, bare_panda, "panda_link7", FLANGE)
     assert len(replace(PANDA, load=load, tool=JAW.tool(FLANGE), gripper=JAW).urdf.findall("joint")) == 9
-    with pytest.raises(ValueError, match="no link 'wrist'"):
-        without(PANDA.load(), "wrist")
-    with pytest.raises(ValueError, match=r"panda_link7.*panda_finger"):
-        JAW.fitted(PANDA.load, "panda_link7", FLANGE)
-    with pytest.raises(ValueError, match="no link 'hand'"):
-        JAW.fitted(bare_panda, "hand", FLANGE)
+    for call, words in (
+        (lambda: without(PANDA.load(), "wrist"), "no link 'wrist'"),
+        (lambda: JAW.fitted(PANDA.load, "panda_link7", FLANGE), r"panda_link7.*panda_finger"),
+        (lambda: JAW.fitted(bare_panda, "hand", FLANGE), "no link 'hand'"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            call()
 
 
-def test_attach_joins_the_models_of_an_arm_and_a_gripper() -> None:
+def test_attach_joins_the_models_of_an_arm_and_a_gripper():
     hand = PANDA.load()
     arm_links = {f"panda_link{number}" for number in range(9)}
     for element in [*hand.findall("link"), *hand.findall("joint")]:
@@ -342,9 +277,8 @@ def test_attach_joins_the_models_of_an_arm_and_a_gripper() -> None:
     model = replace(PANDA, load=lambda: joined)
     origins = [frame_of(find_joint(one.urdf, PANDA.gripper.joints[0])) for one in (PANDA, model)]
     assert origins[1].position == pytest.approx(origins[0].position, abs=1e-4)
-    assert find_link(joined, "panda_leftfinger") is not None
     with pytest.raises(ValueError, match="<robot>"):
-        attach(KUKA.load(), "lbr_iiwa_link_7", "gripper.urdf", ORIGIN)  # type: ignore[arg-type]
+        attach(KUKA.load(), "lbr_iiwa_link_7", "gripper.urdf", ORIGIN)
     twice = replace(PANDA, load=lambda: attach(PANDA.load(), "panda_link8", bare_panda(), ORIGIN))
     with pytest.raises(ValueError, match=r"distinct.*panda_link0"):
         _ = twice.urdf
