@@ -6,7 +6,6 @@ import math
 import re
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -38,11 +37,11 @@ SHORTER = {
 }
 
 
-def _snippets(page: Path) -> list[str]:
+def _snippets(page):
     return SNIPPET.findall(page.read_text(encoding="utf-8"))
 
 
-def _find(path: str) -> Any:
+def _find(path):
     """Import a module, or what is in one."""
     module, _, name = path.rpartition(".")
     try:

@@ -22,11 +22,11 @@ CNN = {"features_extractor_kwargs": {"channels": (4, 4, 4, 4, 8)}}
 EQUIVARIANT = {"features_extractor_kwargs": {"n": 4, "channels": (2, 2, 2, 2, 4)}}
 
 
-def make(observation: list[Any]) -> gymnasium.Env[Any, Any]:
+def make(observation):
     return gymnasium.make("BulletArm/CloseLoopBlockPicking-v0", observation=observation, obs_size=48)
 
 
-def as_seen(space, observation: dict[str, np.ndarray], turns: int = 0) -> dict[str, th.Tensor]:
+def as_seen(space, observation, turns=0):
     """A batch of one as networks get it, the scene turned by quarters about the fingertips."""
     turned = dict(observation)
     for name in ("heightmap", "color", "segmentation"):

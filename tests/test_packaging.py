@@ -77,7 +77,7 @@ def run(unpacked, tmp_path_factory):
     """Runs Python with the unpacked wheel and what an extra of it requires, and with no other package."""
     (info,) = unpacked.glob("*.dist-info")
 
-    def run(extra: str, *words: str) -> subprocess.CompletedProcess[str]:
+    def run(extra, *words):
         links = tmp_path_factory.mktemp("links")
         for dependency in required(metadata.Distribution.at(info).requires or [], extra):
             distribution = metadata.distribution(dependency)
@@ -92,7 +92,7 @@ def run(unpacked, tmp_path_factory):
     return run
 
 
-def required(requirements: list[str], extra: str) -> set[str]:
+def required(requirements, extra):
     """Return the names of the installed distributions that requirements need."""
     found: dict[str, set[str]] = {}
     waiting = [(requirements, {extra})]

@@ -1,7 +1,6 @@
 """Symmetries of policies, networks and samples on rotated and mirrored scenes of the simulator."""
 
 import math
-from collections.abc import Iterator
 from typing import Any
 
 import gymnasium as gym
@@ -28,7 +27,7 @@ NETWORK = {
 Observation = dict[str, Any]
 
 
-def make_env(env_id: str, **sizes: int) -> Iterator[Any]:
+def make_env(env_id, **sizes):
     made = gym.make(env_id, **sizes).unwrapped
     yield made
     made.close()
@@ -44,7 +43,7 @@ def open_loop():
     yield from make_env(OPEN_LOOP, obs_size=SIZE, in_hand_size=SIDE)
 
 
-def moved(pose: Pose, centre: Any, angle: float, mirror: bool) -> Pose:
+def moved(pose, centre, angle, mirror):
     """Rotate a pose about the vertical through a point, then mirror it along y."""
     x, y = pose.x - centre[0], pose.y - centre[1]
     x, y = math.cos(angle) * x - math.sin(angle) * y, math.sin(angle) * x + math.cos(angle) * y
@@ -52,7 +51,7 @@ def moved(pose: Pose, centre: Any, angle: float, mirror: bool) -> Pose:
     return Pose.planar(centre[0] + x, centre[1] + sign * y, pose.z, sign * (pose.yaw + angle))
 
 
-def look_twice(env: Any, angle: float, mirror: bool = False) -> tuple[Observation, Observation]:
+def look_twice(env, angle, mirror=False):
     """Return the observations of a scene and of the moved scene; in closed loop the gripper moves, too."""
     env.reset(seed=5)
     is_closed = env.config.control == "close_loop"
@@ -79,7 +78,7 @@ def model(request):
     return SACfD("EquivariantPolicy", made, buffer_size=100, seed=0, policy_kwargs=kwargs, device="cpu")
 
 
-def outputs(model: SACfD, observation: Observation, action: Any) -> np.ndarray:
+def outputs(model, observation, action):
     """Return the mean of the actor before the squashing, and both Q values of an action."""
     tensors, _ = model.policy.obs_to_tensor(observation)
     with th.no_grad():
@@ -94,7 +93,7 @@ def test_actor_moves_with_the_scene_and_the_critic_is_invariant(env, model, mirr
     if not mirror:
         np.testing.assert_array_equal(np.rot90(before["heightmap"], 1, axes=(1, 2)), after["heightmap"])
 
-    def move(action: np.ndarray) -> list[float]:
+    def move(action):
         p, x, y, z, r, *values = action
         return [p, x, -y, z, -r, *values] if mirror else [p, -y, x, z, r, *values]
 
@@ -118,7 +117,7 @@ def test_rotated_samples_equal_a_rotated_scene(env, angle):
 # Networks of open-loop control
 
 
-def assert_same(found: th.Tensor, expected: th.Tensor) -> None:
+def assert_same(found, expected):
     for sample, other in zip(expected, found, strict=True):
         assert sample.std() > 0 and (other - sample).abs().max() < TOLERANCE * sample.std()
 

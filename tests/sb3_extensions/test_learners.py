@@ -142,7 +142,7 @@ SMALL_EQUIVARIANT = {"features_extractor_kwargs": {"n": 4, "channels": [4, 4, 4,
 WIDE = [[0.3, 0.6], [-0.15, 0.15], [0.0, 1.0]]
 
 
-def make_sacfd(env, augmentation=None, **policy_kwargs) -> SACfD:
+def make_sacfd(env, augmentation=None, **policy_kwargs):
     policy_kwargs = {**SMALL_EQUIVARIANT, **policy_kwargs}
     kwargs = {"buffer_size": 100, "policy_kwargs": policy_kwargs, "augmentation": augmentation}
     return SACfD("EquivariantPolicy", env, **kwargs)

@@ -1,7 +1,6 @@
 """Invalid arguments of components are refused with the argument's name and value."""
 
 from functools import partial
-from typing import Any
 
 import numpy as np
 import pytest
@@ -23,23 +22,23 @@ from sb3_extensions.spatial_dqn.pixel_maps import EquivariantPixelMaps, PlainPix
 C4, C8, D4 = Group("cyclic", 4), Group("cyclic", 8), Group("dihedral", 4)
 
 
-def box(*shape: int, low: float = 0.0, high: float = 0.4) -> spaces.Box:
+def box(*shape, low=0.0, high=0.4):
     return spaces.Box(low, high, shape, np.float32)
 
 
-def scene(**others: spaces.Space[Any]) -> spaces.Dict:
+def scene(**others):
     return spaces.Dict({"heightmap": box(1, 16, 16), "holding": box(1), **others})
 
 
-def fields(*entries: Any) -> FieldType:
+def fields(*entries):
     return FieldType.of(*((representation, 1) for representation in entries))
 
 
-def numbers(space: spaces.Space[Any] | None = None, **kwargs: Any) -> MlpExtractor:
+def numbers(space=None, **kwargs):
     return MlpExtractor(space or spaces.Dict({"state": box(7), "holding": box(1)}), **kwargs)
 
 
-def buffer(size: int = 50, space: spaces.Space[Any] | None = None, **kwargs: Any) -> ExpertReplayBuffer:
+def buffer(size=50, space=None, **kwargs):
     return ExpertReplayBuffer(size, space or scene(), box(3, low=-1.0, high=1.0), **kwargs)
 
 

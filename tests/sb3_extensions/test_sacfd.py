@@ -1,7 +1,5 @@
 """SACfD: losses, imitation and pretraining, compared with slow references."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 import torch as th
@@ -15,17 +13,17 @@ from sb3_extensions.sacfd.losses import imitation_loss, self_imitation_weights
 from sb3_extensions.tqcfd import TQCfD
 
 
-def parameters(model) -> dict[str, np.ndarray]:
+def parameters(model):
     module = getattr(model, "policy", model)
     return {name: value.numpy().copy() for name, value in module.state_dict().items()}
 
 
-def moved(before: dict[str, np.ndarray], after: dict[str, np.ndarray]) -> set[str]:
+def moved(before, after):
     """Return the networks of the policy whose parameters differ."""
     return {name.split(".")[0] for name in after if not np.array_equal(after[name], before[name])}
 
 
-def copies(model: SACfD) -> list[Any]:
+def copies(model):
     """Return copies of the actor, the critic and the target of the critic."""
     policy = type(model.policy)(
         model.observation_space, model.action_space, lambda _: 0.0, **model.policy_kwargs
@@ -182,7 +180,7 @@ def test_pretraining_updates_the_actor_and_the_warm_up_everything(warmup, networ
 
 
 def test_the_critic_has_no_effect_on_the_actor_at_expert_steps_with_weight_0(make_learner):
-    def pretrained(**kwargs) -> dict[str, np.ndarray]:
+    def pretrained(**kwargs):
         settings = {"pretrain_steps": 20, "critic_warmup_steps": None, "ent_coef": 0.0}
         return parameters(make_learner(learning_starts=9, **settings, **kwargs).learn(1).actor)
 

@@ -16,7 +16,7 @@ EXPERT |= {"success": "0.995", "mean_steps": "3.04"}
 KEY = ("env", "robot", "env_kwargs", "snap")
 
 
-def place(name: str, content: str = "") -> str:
+def place(name, content=""):
     return f"<!-- data: {name} -->{content}<!-- end of data -->"
 
 
@@ -72,7 +72,7 @@ REACHING = "BulletArm/CloseLoopBlockReaching-v0"
 STACKING = "BulletArm/OpenLoopBlockStacking-v0"
 
 
-def run(monkeypatch: pytest.MonkeyPatch, program: str, *words: str) -> None:
+def run(monkeypatch, program, *words):
     monkeypatch.setattr(sys, "argv", [program, *words])
     runpy.run_path(str(TOOLS / program), run_name="__main__")
 

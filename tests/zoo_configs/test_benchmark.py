@@ -7,9 +7,7 @@ import socket
 import threading
 import time
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -165,7 +163,7 @@ def test_the_time_of_a_killed_process_counts_up_to_the_checkpoint(killed, tmp_pa
 # ---- Runs on this machine
 
 
-def state_of(folder: Path) -> State | None:
+def state_of(folder):
     status = run_status(folder)
     return None if status is None else status.state
 
@@ -276,7 +274,7 @@ def test_a_machine_must_share_the_folder_and_the_versions(tmp_path, monkeypatch)
 
 
 def test_a_run_that_is_lost_again_and_again_fails(tmp_path, monkeypatch):
-    def lost(*_: Any) -> Any:
+    def lost(*_):
         ended = {"wait": lambda _=None: True, "exit_code": lambda: ExitCode.INTERRUPTED}
         return SimpleNamespace(**ended, interrupt=lambda: None, kill=lambda: None)
 
@@ -308,7 +306,7 @@ def test_a_node_killed_in_the_middle_loses_nothing(ray_cluster, bench, tmp_path,
     assert "CloseLoopToy/sacfd/seed_0" in capsys.readouterr().err and not (tmp_path / "out").exists()
     node, out = ray_cluster.add_node(**NODE), tmp_path / "out"
 
-    def kill() -> None:
+    def kill():
         """As soon as every node trains, the second is gone."""
         wait_for(lambda: len(list(out.glob("CloseLoopToySlow/*/*/checkpoints/checkpoint_*"))) > 0)
         wait_for(lambda: len(list(out.glob("CloseLoopToySlow/*/*/state.yml"))) > 1)

@@ -3,7 +3,6 @@
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import h5py
 import pytest
@@ -24,7 +23,7 @@ def picking(tmp_path_factory):
     return path
 
 
-def train(folder: Path, data: object, *more: str) -> int:
+def train(folder, data, *more):
     names = ["--baseline", "sacfd", "--preset", "cpu", "--env", PICKING, "--device", "cpu", "-f", str(folder)]
     tiny = ["-n", "4", "--eval-freq", "0", "--num-threads", "1", "--no-progress"]
     params = ["-params", f"expert_data:{data}", "pretrain_steps:2", "batch_size:4", "buffer_size:100"]

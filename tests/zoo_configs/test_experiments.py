@@ -3,7 +3,6 @@
 import os
 from contextlib import closing
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +17,7 @@ from zoo_configs.cli import main
 from zoo_configs.commands.train import build_parser
 from zoo_configs.environments import make_env, our_env_ids
 from zoo_configs.errors import CommandError
-from zoo_configs.experiments.config import ExperimentConfig, explain, explained_yaml, merge, resolve
+from zoo_configs.experiments.config import explain, explained_yaml, merge, resolve
 from zoo_configs.experiments.families import Case, families, parse_family
 from zoo_configs.experiments.flags import find_experiment
 from zoo_configs.experiments.validation import check_experiment
@@ -32,20 +31,20 @@ CLOSE_LOOP, _ = families()
 PICKING, STACKING = "BulletArm/CloseLoopBlockPicking-v0", "BulletArm/OpenLoopBlockStacking-v0"
 
 
-def experiment_of(line: str) -> ExperimentConfig:
+def experiment_of(line):
     """Return the experiment that flags of ``train`` name."""
     line = line.replace("PICKING", PICKING).replace("STACKING", STACKING)
     return find_experiment(build_parser().parse_args(line.split()))
 
 
-def hyperparams_of(*names: Any) -> dict[str, Any]:
+def hyperparams_of(*names):
     return resolve(*names).hyperparams
 
 
 # ---- Golden file
 
 
-def resolved(baseline: str, preset: str, task: str, benchmark: str | None = None) -> dict[str, Any]:
+def resolved(baseline, preset, task, benchmark=None):
     """Return all values of an experiment."""
     found = resolve(baseline, preset, f"BulletArm/{task}-v0", benchmark=benchmark)
     return {"algo": found.algo, "flags": found.flags, "hyperparams": found.hyperparams}

@@ -32,7 +32,7 @@ COMMANDS = {
 """Words that are always there, and flags with their valid values, by command."""
 
 
-def draw(rng: np.random.Generator) -> list[str]:
+def draw(rng):
     """Return a valid line, every other time with a junk word in the place of another one."""
     command = str(rng.choice(list(COMMANDS)))
     words, flags = COMMANDS[command]

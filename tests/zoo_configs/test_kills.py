@@ -3,8 +3,6 @@
 import os
 import subprocess
 import sys
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +11,6 @@ from sweeps import HERE, PATH, TINY, same, trials_of
 from zoo_configs.cli import main
 from zoo_configs.experiments.config import resolve
 from zoo_configs.training.options import TrainingOptions
-from zoo_configs.training.runs import Run
 from zoo_configs.training.state import State, run_status
 from zoo_configs.training.train import train_experiment
 
@@ -58,13 +55,13 @@ OF_TRAINING = [
 OF_STUDY = [pytest.param(int(m), marks=[SLOW] * (n > 0)) for n, m in enumerate(MOMENTS.integers(1, 60, 26))]
 
 
-def train(toy_id: str, folder: Path) -> Run:
+def train(toy_id, folder):
     experiment = resolve("sacfd", "quick", toy_id, TINY["hyperparams"])
     options = TrainingOptions.of(experiment, OPTIONS)
     return train_experiment(experiment, 0, "cpu", folder, options=options, at=folder / "run")
 
 
-def run_dying(folder: Path, moment: int, code: str) -> int:
+def run_dying(folder, moment, code):
     """Run code in a process that kills itself at an event, and return its exit code."""
     (folder / "dying.py").write_text(DYING)
     paths = os.pathsep.join([str(folder), PATH])
@@ -83,7 +80,7 @@ def test_a_killed_training_loses_nothing(moment, toy_id, tmp_path):
     assert same(train(toy_id, tmp_path).folder, train(toy_id, tmp_path / "whole").folder)
 
 
-def counted(folder: Path, study: str) -> list[tuple[Any, Any, str]]:
+def counted(folder, study):
     """The trials of a study that count."""
     trials = trials_of(folder, study)
     again = {number for trial in trials for number in trial.user_attrs.get("repeats", ())}

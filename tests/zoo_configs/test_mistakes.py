@@ -185,7 +185,7 @@ def test_a_learner_that_cannot_be_built_leaves_nothing(refuse):
 
 
 def test_a_full_disk_is_one_line(refuse, monkeypatch):
-    def fill(*_: Any) -> None:
+    def fill(*_):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(os, "replace", fill)
@@ -203,7 +203,7 @@ def test_an_unwritable_home_is_one_line():
 
 
 def test_an_error_in_a_users_code_has_its_place(monkeypatch, capsys):
-    def fail(*_: Any) -> None:
+    def fail(*_):
         raise KeyError("no item of that name")
 
     monkeypatch.setattr("zoo_configs.commands.plot.main", fail)

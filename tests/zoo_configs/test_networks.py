@@ -1,7 +1,6 @@
 """Networks of the presets as ``train`` builds them, before they have learned anything."""
 
 import functools
-from typing import Any
 
 import gymnasium as gym
 import imageio.v3 as iio
@@ -33,7 +32,7 @@ UNTRAINED = {"expert_episodes": 0, "pretrain_steps": 0, "buffer_size": 100}
 
 
 @functools.cache
-def real_observations(**env_kwargs: Any) -> dict[str, th.Tensor]:
+def real_observations(**env_kwargs):
     """Return the observations while blocks are stacked, (n, ...) each."""
     env = gym.make(BLOCKS, **env_kwargs)
     observations, over = [env.reset(seed=0)[0]], False
@@ -45,7 +44,7 @@ def real_observations(**env_kwargs: Any) -> dict[str, th.Tensor]:
     return {key: th.as_tensor(np.stack([entry[key] for entry in observations])) for key in observations[0]}
 
 
-def check_untrained(model: Any, observations: dict[str, th.Tensor]) -> None:
+def check_untrained(model, observations):
     """Check that values lie in [0, 1], and that the actor explores all actions."""
     actions = th.rand(len(observations["holding"]), 5, generator=th.Generator().manual_seed(0)) * 2 - 1
     with th.no_grad():

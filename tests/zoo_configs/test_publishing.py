@@ -14,7 +14,6 @@ import torch as th
 import yaml
 from scipy import stats
 from stable_baselines3 import SAC
-from stable_baselines3.common.base_class import BaseAlgorithm
 from torch import nn
 
 from sb3_extensions.ferm import FERM
@@ -26,7 +25,7 @@ from zoo_configs.experiments.families import task_name
 from zoo_configs.provenance import arithmetic
 from zoo_configs.publishing import packing
 from zoo_configs.publishing.compact import save_compact, stored_weights
-from zoo_configs.publishing.published import Published, published_agents, read_card
+from zoo_configs.publishing.published import published_agents, read_card
 
 FILE = "sacfd-BulletArm-CloseLoopToy-v0.zip"
 FILES = {FILE, "card.json", "README.md"}
@@ -53,7 +52,7 @@ def test_weights_that_are_too_large_for_float16_are_not_rounded():
     assert weights["weight"].dtype == weights["bias"].dtype == th.float32
 
 
-def make_model(name: str, toy_id: str, **more: Any) -> BaseAlgorithm:
+def make_model(name, toy_id, **more):
     if name == "sac":
         return SAC("MlpPolicy", "Pendulum-v1", seed=0)
     env = gym.make(toy_id, obs_size=48)
@@ -108,13 +107,13 @@ def test_a_file_is_small_without_traces_of_the_machine_and_can_be_trained(toy_id
 # ---- Agents of the package
 
 
-def evaluate(agent: Published, episodes: int) -> Outcome:
+def evaluate(agent, episodes):
     """As ``enjoy --published`` does, on the scenes of the card."""
     query = AgentQuery(published=agent.card.env, baseline=agent.card.label, device="cpu")
     return evaluate_agent(find_agent(query), EvalOptions(episodes, agent.card.test_seed, progress=False))
 
 
-def repeats(agent: Published) -> bool:
+def repeats(agent):
     """Whether the card was measured with the same arithmetic and versions."""
     return {key: agent.card.measured[key] for key in arithmetic()} == arithmetic()
 
@@ -166,19 +165,19 @@ class Hub:
     uploaded: ClassVar[dict[str, Any]] = {}
     reachable = True
 
-    def __init__(self, token: str) -> None:
+    def __init__(self, token):
         self.token = token
 
-    def whoami(self) -> dict[str, str]:
+    def whoami(self):
         if not self.reachable:
             raise ConnectionError("Name or service not known")
         return {"name": "someone"}
 
-    def create_repo(self, repo_id: str, exist_ok: bool) -> str:
+    def create_repo(self, repo_id, exist_ok):
         assert exist_ok
         return f"https://huggingface.co/{repo_id}"
 
-    def upload_folder(self, repo_id: str, folder_path: Path, commit_message: str) -> None:
+    def upload_folder(self, repo_id, folder_path, commit_message):
         files = {path.name: path.read_bytes() for path in Path(folder_path).iterdir()}
         self.uploaded.update(repo_id=repo_id, message=commit_message, files=files)
 
@@ -255,7 +254,7 @@ def test_only_the_folder_of_an_agent_is_replaced(pushed, run_folder, tmp_path, r
 def test_weights_that_lower_the_success_are_not_halved(run_folder, tmp_path, monkeypatch):
     """The written file always fails, the run's own model never."""
 
-    def evaluate(agent: Any, options: Any) -> Any:
+    def evaluate(agent, options):
         rounded = agent.model.actor.mu.linear.weights["0_0"]
         halved = bool((rounded == rounded.half().float()).all())
         return Outcome([not halved] * 20, [0.0] * 20)

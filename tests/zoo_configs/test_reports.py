@@ -6,8 +6,6 @@ import shutil
 import subprocess
 import sys
 from contextlib import closing
-from pathlib import Path
-from typing import Any
 
 import gymnasium
 import imageio.v3 as iio
@@ -99,9 +97,7 @@ def test_plot_draws_values_of_expert_and_online_transitions(trained, tmp_path, r
 # ---- Results
 
 
-def add_run(
-    folder: Path, env_id: str, baseline: str, seed: int, successes: list[list[bool]], **changes: Any
-) -> Run:
+def add_run(folder, env_id, baseline, seed, successes, **changes):
     """A run that was evaluated every 10 time steps; it gets the next free folder."""
     options = {"n_timesteps": 30, "eval_freq": 10, "num_threads": 1, **changes.pop("options", {})}
     experiment = resolve(baseline, changes.pop("preset", "cpu"), env_id, {**OVERRIDES, **changes})
@@ -261,7 +257,7 @@ def test_a_gpu_is_part_of_the_hardware(monkeypatch):
 
 
 def test_the_commit_is_that_of_the_running_code(tmp_path, monkeypatch):
-    def git(*words: str) -> str:
+    def git(*words):
         who = ["-c", "user.name=a", "-c", "user.email=a@b", "-c", "commit.gpgsign=false"]
         command = ["git", "-C", str(tmp_path), *who, *words]
         return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()

@@ -67,7 +67,7 @@ def test_a_run_that_cannot_be_resumed_is_one_line(run_folder, refuse):
 
 
 def test_a_full_disk_leaves_no_half_checkpoint(train_tiny, tmp_path, monkeypatch, capsys):
-    def fill(path: Path) -> None:
+    def fill(path):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(checkpoint, "_sync", fill)

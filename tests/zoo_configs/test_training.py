@@ -39,11 +39,11 @@ TrainHere = Callable[..., Run]
 class Stop(BaseCallback):
     """Ends a training by an error."""
 
-    def __init__(self, at: int, error: BaseException) -> None:
+    def __init__(self, at, error):
         super().__init__()
         self.at, self.error = at, error
 
-    def _on_step(self) -> bool:
+    def _on_step(self):
         if self.num_timesteps == self.at:
             raise self.error
         return True
@@ -53,7 +53,7 @@ class Stop(BaseCallback):
 def train(toy_id, tmp_path):
     """Trains the toy: ``train(*callbacks, at=..., seed=..., gamma=..., option=...)`` returns the run."""
 
-    def run(*callbacks: BaseCallback, at: str | None = None, seed: int = 0, **changes: Any) -> Run:
+    def run(*callbacks, at=None, seed=0, **changes):
         options = {name: changes.pop(name) for name in list(changes) if name in SHORT}
         experiment = resolve("sacfd", "quick", toy_id, {**TINY["hyperparams"], **changes})
         chosen = TrainingOptions.of(experiment, {**SHORT, **options})
@@ -65,7 +65,7 @@ def train(toy_id, tmp_path):
     return run
 
 
-def state(run: Run) -> State | None:
+def state(run):
     return None if run.status is None else run.status.state
 
 
@@ -191,7 +191,7 @@ TRAINING_BAR = "━"
 
 
 class Terminal(io.StringIO):
-    def isatty(self) -> bool:
+    def isatty(self):
         return True
 
 
@@ -297,7 +297,7 @@ TASKS = """
 """
 
 
-def forget() -> None:
+def forget():
     """Restore the state of a new process."""
     gym.registry.pop(OWN_ID, None)
     sys.modules.pop(MODULE, None)

@@ -3,7 +3,6 @@
 import subprocess
 import sys
 import time
-from pathlib import Path
 from typing import Any
 
 import optuna
@@ -56,14 +55,14 @@ def tune(toy_id, tmp_path):
     """Searches two hyperparameters of a tiny experiment: ``tune(*more)`` returns the exit code."""
     (space := tmp_path / "space.yml").write_text(SPACE)
 
-    def run(*more: str) -> int:
+    def run(*more):
         named = ["tune", *EXPERIMENT, "--env", toy_id, "-f", str(tmp_path), "--space", str(space)]
         return main([*named, *SIZE, "--num-threads", "1", *more, *TINY])
 
     return run
 
 
-def states(folder: Path) -> list[str]:
+def states(folder):
     return [trial.state.name for trial in trials_of(folder, NAME)]
 
 

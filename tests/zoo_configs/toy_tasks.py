@@ -4,7 +4,6 @@ import errno
 import os
 import signal
 import time
-from typing import Any
 
 import gymnasium as gym
 from toy_env import TOY_ID, ToyEnv
@@ -13,28 +12,28 @@ from toy_env import TOY_ID, ToyEnv
 class FailingToy(ToyEnv):
     """A task whose author has made a mistake."""
 
-    def step(self, action: Any) -> Any:
+    def step(self, action):
         raise RuntimeError("the block is lost")
 
 
 class CrashingToy(ToyEnv):
     """A task whose engine takes the process with it."""
 
-    def step(self, action: Any) -> Any:
+    def step(self, action):
         os.kill(os.getpid(), signal.SIGSEGV)
 
 
 class FullToy(ToyEnv):
     """A task on a full disk."""
 
-    def step(self, action: Any) -> Any:
+    def step(self, action):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 class SlowToy(ToyEnv):
     """A task that leaves time to end it."""
 
-    def step(self, action: Any) -> Any:
+    def step(self, action):
         time.sleep(0.05)
         return super().step(action)
 

@@ -107,7 +107,7 @@ def test_run_interrupted_in_pretraining_resumes_there(kwargs, make_toy, make_mod
             if self.model.n_pretrained == 4:
                 raise KeyboardInterrupt
 
-        def _on_step(self) -> bool:
+        def _on_step(self):
             return True
 
     with pytest.raises(KeyboardInterrupt):
@@ -248,7 +248,7 @@ def test_other_number_of_envs_or_wrappers(make_toy, make_model, tmp_path):
 
 
 def test_envs_without_state_start_a_new_episode(tmp_path):
-    def make_env() -> VecNormalize:
+    def make_env():
         return VecNormalize(DummyVecEnv([lambda: gym.make("Pendulum-v1")]))
 
     kwargs = {"buffer_size": 100, "policy_kwargs": {"net_arch": [8]}, "seed": 0}

@@ -5,7 +5,6 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-import torch as th
 from gymnasium import spaces
 from gymnasium.wrappers import FrameStackObservation, TransformObservation
 from stable_baselines3.common.monitor import Monitor
@@ -27,16 +26,16 @@ from sb3_extensions.demonstrations.expert_envs import make_expert_envs
 from sb3_extensions.spatial_dqn.codec import SpatialActionCodec
 
 
-def make_env(**kwargs) -> gym.Env[Any, Any]:
+def make_env(**kwargs):
     return gym.make("ToyReach-v0", **kwargs)
 
 
-def collect(episodes: int, seed: int | None = 0, env=None, transform=None) -> list[Any]:
+def collect(episodes, seed=0, env=None, transform=None):
     arguments = {"action_transform": transform, "progress_bar": False}
     return list(collect_episodes(env or make_env(), episodes, seed, **arguments))
 
 
-def seeds(*args, **kwargs) -> list[int | None]:
+def seeds(*args, **kwargs):
     return [episode.seed for episode in collect(*args, **kwargs)]
 
 
@@ -65,7 +64,7 @@ class FailingOnce(gym.Wrapper[Any, Any, Any, Any]):
         super().__init__(make_env())
         self.seeds = []
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
+    def reset(self, *, seed=None, options=None):
         self.seeds.append(seed)
         return super().reset(seed=seed, options=options)
 
@@ -132,17 +131,17 @@ def test_an_observation_without_a_dict_has_one_key():
 class Halved(gym.ObservationWrapper[Any, Any, Any]):
     """Wrapper that a spec cannot create again."""
 
-    def observation(self, observation: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    def observation(self, observation):
         return {**observation, "heightmap": observation["heightmap"] * np.float32(0.5)}
 
 
-def stacked_and_unstacked(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
+def stacked_and_unstacked(env):
     env = FrameStackObservation(env, 1)
     parts = {key: spaces.Box(0, 1, part.shape[1:]) for key, part in env.observation_space.spaces.items()}
     return TransformObservation(env, lambda obs: {k: v[0] for k, v in obs.items()}, spaces.Dict(parts))
 
 
-def demonstrated(model, key: str = "heightmap") -> np.ndarray:
+def demonstrated(model, key="heightmap"):
     """Return the stored images of the demonstrations."""
     table = model.learn(3).replay_buffer.table
     images = table.observations[key][: table.n_pinned]
@@ -177,12 +176,12 @@ def test_stacked_frames_of_a_vector_environment(make_learner):
 class Camera(gym.ObservationWrapper[Any, Any, Any]):
     """Add a camera of 8-bit images with the channels last, and a number without a shape."""
 
-    def __init__(self, env: gym.Env[Any, Any]):
+    def __init__(self, env):
         super().__init__(env)
         parts = {"rgb": spaces.Box(0, 255, (20, 16, 3), np.uint8), "height": spaces.Box(0.0, 1.0, ())}
         self.observation_space = spaces.Dict(parts)
 
-    def observation(self, observation: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    def observation(self, observation):
         image = np.zeros((20, 16, 3), np.uint8)
         image[:16] = (observation["heightmap"][0] * 600).astype(np.uint8)[..., None]
         image[16:, :, 1] = 9
@@ -195,7 +194,7 @@ class HeightExtractor(BaseFeaturesExtractor):
     def __init__(self, observation_space):
         super().__init__(observation_space, 1)
 
-    def forward(self, observations: dict[str, th.Tensor]) -> th.Tensor:
+    def forward(self, observations):
         return observations["height"].reshape(-1, 1)
 
 

@@ -16,7 +16,7 @@ from gymnasium.wrappers import RescaleAction
 from stable_baselines3 import SAC
 from stable_baselines3.common.env_util import make_vec_env
 
-from bulletarm_gym.demonstrations import Demonstrations, collect
+from bulletarm_gym.demonstrations import collect
 from sb3_extensions.demonstrations.collection import collect_episodes
 from sb3_extensions.demonstrations.dagger import DaggerCallback
 from sb3_extensions.demonstrations.episodes import Episode
@@ -127,7 +127,7 @@ PARTS = ("observations", "actions", "rewards", "terminations")
 
 
 @pytest.fixture(scope="module")
-def reaching() -> Demonstrations:
+def reaching():
     return collect(ENV_ID, 1, seed=0, env_kwargs={"observation": "state"})
 
 
@@ -142,7 +142,7 @@ class MinariLike(list[Any]):
         self.action_space = spaces.Box(-1.0, 1.0, (5,), np.float32)
 
 
-def learn(data, env=None, policy: str = "StatePolicy", **env_kwargs):
+def learn(data, env=None, policy="StatePolicy", **env_kwargs):
     """Return the replay buffer after a step; refused demonstrations leave it empty."""
     env = env or make_vec_env(ENV_ID, env_kwargs={"observation": "state", **env_kwargs})
     model = SACfD(policy, env, expert_data=data, buffer_size=100, seed=0)
@@ -153,12 +153,12 @@ def learn(data, env=None, policy: str = "StatePolicy", **env_kwargs):
         raise
 
 
-def plain_episode(episode, **changes) -> Episode:
+def plain_episode(episode, **changes):
     parts = {name: getattr(episode, name) for name in (*PARTS, "truncations", "seed")}
     return dataclasses.replace(Episode(**parts, expert_actions=episode.actions), **changes)
 
 
-def rescaled(low: float, high: float):
+def rescaled(low, high):
     env = gym.make(ENV_ID, observation="state")
     return make_vec_env(lambda: RescaleAction(env, np.float32(low), np.float32(high)))
 

@@ -1,7 +1,6 @@
 """Encoders and feature extractors of images, of numbers, and of images with numbers and smaller images."""
 
 import functools
-from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -28,21 +27,21 @@ REGULAR = functools.partial(EquivariantExtractor, n=4, channels=[2, 4, 4])
 INVARIANT = functools.partial(REGULAR, output="invariant")
 
 
-def heights(*shape: int, high: float = 0.4) -> spaces.Box:
+def heights(*shape, high=0.4):
     return spaces.Box(0, high, shape, np.float32)
 
 
-def observation_space(**others) -> spaces.Dict:
+def observation_space(**others):
     return spaces.Dict({"heightmap": heights(1, SIZE, SIZE), "holding": heights(1, high=1), **others})
 
 
-def with_small_images() -> spaces.Dict:
+def with_small_images():
     """Return a space with an in-hand image, and a float and a uint8 image of a third size."""
     colour = spaces.Box(0, 255, (3, 8, 8), np.uint8)
     return observation_space(in_hand=heights(3, 10, 10), touch=heights(1, 8, 8, high=1), colour=colour)
 
 
-def sample(space, batch: int = 3):
+def sample(space, batch=3):
     """Return observations as Stable-Baselines3 passes them to extractors: uint8 images are in [0, 1]."""
     space.seed(0)
     drawn = [space.sample() for _ in range(batch)]
@@ -172,12 +171,12 @@ def test_features_of_small_images_are_appended(make):
         assert not changed.any()
 
 
-def image_alone() -> gym.Env[Any, Any]:
+def image_alone():
     env = gym.make("ToyReach-v0")
     return gym.wrappers.TransformObservation(env, lambda obs: obs["heightmap"], heights(1, SIZE, SIZE))
 
 
-def with_extractor(extractor_class, **kwargs) -> dict[str, Any]:
+def with_extractor(extractor_class, **kwargs):
     classes = {"features_extractor_class": extractor_class, "features_extractor_kwargs": kwargs}
     return {**classes, "net_arch": [8]}
 

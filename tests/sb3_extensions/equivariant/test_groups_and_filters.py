@@ -9,7 +9,7 @@ import torch as th
 from scipy.linalg import block_diag
 
 from sb3_extensions.encoders.extractors import EquivariantEncoder
-from sb3_extensions.equivariant.groups import FieldType, Group, Representation
+from sb3_extensions.equivariant.groups import FieldType, Group
 from sb3_extensions.equivariant.harmonics import harmonic_basis
 from sb3_extensions.equivariant.layers import EquivariantConv2d, EquivariantLinear, expanded_filters
 from sb3_extensions.equivariant.steerable import WHOLE_BASIS_LIMIT
@@ -47,7 +47,7 @@ ESCNN = {
 }
 
 
-def blobs(side: int, angle: float, width: float, seed: int, images: int = 16) -> th.Tensor:
+def blobs(side, angle, width, seed, images=16):
     """Random images of four Gaussian blobs, rotated about their centre without interpolation."""
     generator = th.Generator().manual_seed(seed)
     radius, turn = (th.rand(images, 4, generator=generator) for _ in range(2))
@@ -59,14 +59,14 @@ def blobs(side: int, angle: float, width: float, seed: int, images: int = 16) ->
     return (heights[..., None, None] * th.exp(-squared / (2 * width**2))).sum(1)[:, None].float()
 
 
-def make_layer(n: int, kernel_size: int) -> EquivariantConv2d:
+def make_layer(n, kernel_size):
     group = Group("cyclic", n)
     scalar, regular = FieldType.of((group.trivial, 1)), FieldType.of((group.regular, FIELDS))
     return EquivariantConv2d(scalar, regular, kernel_size, bias=False)
 
 
 @th.no_grad()
-def layer_error(n: int, kernel_size: int, width: float) -> float:
+def layer_error(n, kernel_size, width):
     """Relative error at the image's centre, over all rotations that are not multiples of 90 degrees."""
     error = norm = 0.0
     side = 25 if kernel_size % 2 else 26
@@ -110,7 +110,7 @@ FROM_REGULAR = [
 ]
 
 
-def projected_basis(out_rep: Representation, kernel_size: int) -> np.ndarray:
+def projected_basis(out_rep, kernel_size):
     """Project every tensor (harmonics x out) of the first channel of a regular field."""
     group = out_rep.group
     harmonics, frequencies = harmonic_basis(kernel_size, group.n)

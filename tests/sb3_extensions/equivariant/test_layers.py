@@ -32,12 +32,12 @@ def _seed():
     th.manual_seed(0)
 
 
-def mixed_type(group: Group) -> FieldType:
+def mixed_type(group):
     fields = [(group.regular, 2), (group.irrep(1), 1), (group.sign, 2), (group.trivial, 3)]
     return FieldType.of(*fields, (group.irrep(2), 1), (group.quotient(2 - group.n % 2), 1))
 
 
-def act(features: th.Tensor, field_type: FieldType, element: int) -> th.Tensor:
+def act(features, field_type, element):
     """Act on the pixels, if any, and on the channels."""
     group = field_type.group
     if features.dim() == 4:
@@ -46,11 +46,11 @@ def act(features: th.Tensor, field_type: FieldType, element: int) -> th.Tensor:
     return th.einsum("ij,bj...->bi...", th.tensor(field_type.matrix(element), dtype=features.dtype), features)
 
 
-def relative_error(found: th.Tensor, expected: th.Tensor) -> float:
+def relative_error(found, expected):
     return float((found - expected).detach().abs().max() / expected.detach().abs().max())
 
 
-def convolution(group: Group, kernel_size: int, stride: int = 1):
+def convolution(group, kernel_size, stride=1):
     """Return a layer, the types of its fields, and images; their size is 1 for filters of one pixel."""
     fields = mixed_type(group)
     layer = EquivariantConv2d(fields, fields, kernel_size, stride, padding=(kernel_size - stride % 2) // 2)
@@ -58,7 +58,7 @@ def convolution(group: Group, kernel_size: int, stride: int = 1):
     return layer, fields, fields, th.randn(2, fields.size, *[1 if kernel_size == 1 else 8] * 2)
 
 
-def dynamic_convolution(group: Group, kernel_size: int):
+def dynamic_convolution(group, kernel_size):
     fields = mixed_type(group)
     layer = DynamicEquivariantConv2d(fields, fields, kernel_size, padding=kernel_size // 2)
     coefficients = th.randn(2, layer.num_coefficients)
@@ -66,14 +66,14 @@ def dynamic_convolution(group: Group, kernel_size: int):
     return lambda features: layer(features, coefficients), fields, fields, image
 
 
-def linear(group: Group):
+def linear(group):
     fields = mixed_type(group)
     layer = EquivariantLinear(fields, fields)
     nn.init.normal_(layer.bias)
     return layer, fields, fields, th.randn(3, fields.size)
 
 
-def encoder_of(group: Group, size: int = 16, **kwargs) -> EquivariantEncoder:
+def encoder_of(group, size=16, **kwargs):
     channels = (max(4, 16 // group.order),) * (count_halvings(size) + 3)
     return EquivariantEncoder(2, size, group, channels, **kwargs)
 

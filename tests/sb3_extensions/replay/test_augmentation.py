@@ -17,25 +17,25 @@ SIDE, CROP, BATCH = 19, 16, 6
 OBSERVATIONS = ("observations", "next_observations")
 
 
-def generator(seed: int = 0) -> th.Generator:
+def generator(seed=0):
     return th.Generator().manual_seed(seed)
 
 
-def observations(seed: int) -> dict[str, th.Tensor]:
+def observations(seed):
     """Return scenes with a different number in every pixel, to identify windows, after smaller images."""
     pixels = th.randperm(BATCH * 2 * SIDE * SIDE, generator=generator(seed)).float()
     scene = {"heightmap": pixels.view(BATCH, 2, SIDE, SIDE), "holding": th.arange(BATCH)[:, None] % 2.0}
     return {"in_hand": th.rand(BATCH, 3, 8, 8), **scene}
 
 
-def samples() -> ExpertReplayBufferSamples:
+def samples():
     columns = [th.arange(BATCH, dtype=th.float32)[:, None] + 10 * k for k in range(8)]
     return ExpertReplayBufferSamples(
         observations(0), columns[0], observations(1), *columns[1:6], np.arange(BATCH), *columns[6:]
     )
 
 
-def find_offset(image: th.Tensor, window: th.Tensor) -> tuple[int, int]:
+def find_offset(image, window):
     """Return the offset of a window in an image whose border is repeated outwards, by 4 pixels."""
     padded = np.pad(image.numpy(), ((0, 0), (4, 4), (4, 4)), mode="edge")
     views = np.lib.stride_tricks.sliding_window_view(padded, window.shape)[0]
@@ -126,7 +126,7 @@ DRAWN = spaces.Dict(
 )
 
 
-def draw(x: float, y: float) -> dict[str, np.ndarray]:
+def draw(x, y):
     """Return the observation of a bump in a square of 2 m, wide enough for bilinear interpolation."""
     rows, columns = np.meshgrid(*[np.linspace(-1, 1, SIZE)] * 2, indexing="ij")
     image = 0.3 * np.exp(-((rows - x) ** 2 + (columns - y) ** 2) / 0.2)[None].astype(np.float32)
@@ -140,11 +140,11 @@ def draw(x: float, y: float) -> dict[str, np.ndarray]:
     }
 
 
-def rotate(x: float, y: float, angle: float) -> tuple[float, float]:
+def rotate(x, y, angle):
     return math.cos(angle) * x - math.sin(angle) * y, math.sin(angle) * x + math.cos(angle) * y
 
 
-def make_samples(actions: np.ndarray, place: tuple[float, float] = (0.4, -0.3)):
+def make_samples(actions, place=(0.4, -0.3)):
     """Return all steps of an episode in which a bump moves by a tenth of the action's x and y."""
     buffer = ExpertReplayBuffer(200, DRAWN, spaces.Box(-1, 1, actions.shape[1:]), device="cpu", seed=0)
     places = np.cumsum([place, *(0.1 * actions[:, 1:3])], axis=0)

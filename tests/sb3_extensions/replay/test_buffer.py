@@ -1,7 +1,6 @@
 """Storage, samplers and quantisation of the replay buffer compared with slow references."""
 
 import pickle
-from typing import Any
 
 import numpy as np
 import pytest
@@ -24,12 +23,12 @@ OBSERVATION_SPACE = spaces.Dict(
 GAMMA = 0.9
 
 
-def make_buffer(size: int = 50, n_envs: int = 1, space=OBSERVATION_SPACE, **kwargs) -> ExpertReplayBuffer:
+def make_buffer(size=50, n_envs=1, space=OBSERVATION_SPACE, **kwargs):
     actions = spaces.Box(-1, 1, (3,), np.float32)
     return ExpertReplayBuffer(size, space, actions, device="cpu", n_envs=n_envs, seed=0, **kwargs)
 
 
-def observe(ids: np.ndarray) -> dict[str, np.ndarray]:
+def observe(ids):
     """Return observations that encode a number exactly in one entry, and as brightness of the image."""
     image = np.broadcast_to((ids % 256)[:, None, None, None] / 255 * HEIGHT, (len(ids), 1, 4, 4))
     return {"image": image.astype(np.float32), "number": np.stack([ids, -ids], axis=1).astype(np.float32)}
@@ -45,7 +44,7 @@ class Player:
         self.transitions = []
         self.latest = [None] * buffer.n_envs
 
-    def step(self, p_terminate: float = 0.1, p_truncate: float = 0.1):
+    def step(self, p_terminate=0.1, p_truncate=0.1):
         n_envs = self.buffer.n_envs
         terminated = self.rng.random(n_envs) < p_terminate
         truncated = (self.rng.random(n_envs) < p_truncate) & ~terminated
@@ -76,17 +75,17 @@ class Player:
         self.obs = self.next_id.copy()
 
 
-def expert_episode(length: int, first: int = 100) -> tuple[Any, ...]:
+def expert_episode(length, first=100):
     actions = np.full((length, 3), 0.5, dtype=np.float32)
     terminations = np.arange(length) == length - 1
     return observe(np.arange(first, first + length + 1)), actions, np.ones(length), terminations
 
 
-def sampled_ids(tensors: dict[str, th.Tensor]) -> np.ndarray:
+def sampled_ids(tensors):
     return tensors["number"][:, 0].numpy().astype(int)
 
 
-def find_kept(player: Player, size: int) -> dict[int, dict[str, Any]]:
+def find_kept(player, size):
     """Return the latest steps of each environment that fit into a ring of ``size`` rows."""
     kept = {}
     n_envs = player.buffer.n_envs
@@ -130,7 +129,7 @@ def test_samples_equal_a_slow_reference(sampler, n_envs, n_steps):
         assert samples.succeeded[k].item() == leads_to_success(first)
 
 
-def leads_to_success(step: dict[str, Any]) -> bool:
+def leads_to_success(step):
     """Whether the episode of a step succeeded."""
     while step["successor"] is not None:
         step = step["successor"]
@@ -241,7 +240,7 @@ def test_tensors_and_arrays_are_rounded_to_the_nearest_level(low, high, dtype):
 BATCH = 16
 
 
-def make_numbered_buffer(n_expert: int, size: int = 400, **kwargs) -> ExpertReplayBuffer:
+def make_numbered_buffer(n_expert, size=400, **kwargs):
     """Return a buffer with expert episodes of one step, numbered from 0 by their observations."""
     space = spaces.Box(-np.inf, np.inf, (1,), np.float32)
     arguments = {"device": "cpu", "seed": 0, **kwargs}
@@ -252,7 +251,7 @@ def make_numbered_buffer(n_expert: int, size: int = 400, **kwargs) -> ExpertRepl
     return buffer
 
 
-def play(buffer: ExpertReplayBuffer, n_steps: int = 1, success: bool = False):
+def play(buffer, n_steps=1, success=False):
     """Add online episodes of one step."""
     for _ in range(n_steps):
         obs = np.full((1, 1), 1000 + buffer.size(), np.float32)
@@ -294,14 +293,14 @@ def test_successes_are_sampled_at_most_as_often_as_expert_steps(successes, share
 
 
 @pytest.fixture(params=[0.0, 0.6])
-def buffer(request) -> ExpertReplayBuffer:
+def buffer(request):
     """Buffer of a prioritized sampler with four expert steps and six online steps."""
     made = make_numbered_buffer(4, sampler={"prioritized": {"exponent": request.param}})
     play(made, 6)
     return made
 
 
-def valid_rows(buffer: ExpertReplayBuffer) -> np.ndarray:
+def valid_rows(buffer):
     return np.flatnonzero(buffer.table.columns["valid"])
 
 

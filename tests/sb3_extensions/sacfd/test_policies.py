@@ -19,10 +19,7 @@ from sb3_extensions.tqcfd.policies import EquivariantPolicy as EquivariantTQCPol
 EXACT = 2e-6
 SMALL = {"n": 4, "channels": [4, 4, 4]}
 SCENE = spaces.Dict(
-    {
-        "heightmap": spaces.Box(0, 0.4, (1, 16, 16), np.float32),
-        "holding": spaces.Box(0, 1, (1,), np.float32),
-    }
+    {"heightmap": spaces.Box(0, 0.4, (1, 16, 16), np.float32), "holding": spaces.Box(0, 1, (1,), np.float32)}
 )
 IN_HAND = spaces.Dict({**SCENE, "in_hand": spaces.Box(0, 0.4, (1, 8, 8), np.float32)})
 
@@ -32,7 +29,7 @@ def _seed():
     th.manual_seed(0)
 
 
-def make_policy(action_dim: int = 5, policy_class=EquivariantPolicy, extractor=SMALL, space=SCENE, **kwargs):
+def make_policy(action_dim=5, policy_class=EquivariantPolicy, extractor=SMALL, space=SCENE, **kwargs):
     """Biases differ from zero, so that a small network has no dead features."""
     action_space = spaces.Box(-1, 1, (action_dim,), np.float32)
     kwargs["features_extractor_kwargs"] = dict(extractor)
@@ -43,18 +40,18 @@ def make_policy(action_dim: int = 5, policy_class=EquivariantPolicy, extractor=S
     return policy
 
 
-def sample(space=SCENE) -> dict[str, th.Tensor]:
+def sample(space=SCENE):
     space.seed(0)
     observations = [space.sample() for _ in range(4)]
     return {key: th.from_numpy(np.stack([each[key] for each in observations])) for key in space}
 
 
-def turn_observations(observations: dict[str, th.Tensor], turns: int, mirror: bool) -> dict[str, th.Tensor]:
+def turn_observations(observations, turns, mirror):
     image = observations["heightmap"]
     return {**observations, "heightmap": th.rot90(image.flip(-1) if mirror else image, turns, (-2, -1))}
 
 
-def turn_actions(actions: th.Tensor, sequence: str, turns: int, mirror: bool) -> th.Tensor:
+def turn_actions(actions, sequence, turns, mirror):
     """A quarter turn takes (x, y) to (-y, x); the reflection, which comes first, to (x, -y), and r to -r.
 
     Of three r's, the turns (u, v) about x and y go to (-v, u) by the turn, to (-u, v) by the reflection.
@@ -87,7 +84,7 @@ def test_actor_and_critic_rotate_with_the_scene(group, n, policy_class, sequence
     policy = make_policy(len(sequence), policy_class, extractor, space, **kwargs)
     observations, actions = sample(space), th.rand(4, len(sequence)) * 2 - 1
 
-    def q_values(*inputs) -> th.Tensor:
+    def q_values(*inputs):
         return th.stack(list(policy.critic(*inputs))).flatten(1)
 
     with th.no_grad():
@@ -170,7 +167,7 @@ def test_actions_without_a_vector_or_of_one_alone(sequence):
 # The average of an actor's weights.
 
 
-def weights(module: nn.Module) -> np.ndarray:
+def weights(module):
     return th.nn.utils.parameters_to_vector(module.parameters()).detach().numpy().copy()
 
 

@@ -5,7 +5,6 @@ from typing import Any
 
 import pytest
 import torch as th
-from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_extensions.spatial_dqn import SDQfD, SpatialDQN
 from sb3_extensions.spatial_dqn.policies import SpatialPolicy
@@ -32,13 +31,13 @@ MakePolicy = Callable[..., SpatialPolicy]
 
 
 @pytest.fixture(params=CASES, ids="-".join)
-def case(request: pytest.FixtureRequest) -> Case:
+def case(request):
     """A policy and an action sequence that fits."""
     assert isinstance(request.param, tuple)
     return request.param
 
 
-def small_kwargs(name: str, sequence: str, kwargs: dict[str, Any] | None) -> dict[str, Any]:
+def small_kwargs(name, sequence, kwargs):
     """Return the arguments of a small policy."""
     grid = {"num_rotations": 4, "num_heights": 4, "num_tilts": 3}
     own = {"action_sequence": sequence, "codec_kwargs": grid, "network_kwargs": NETWORKS[name]}
@@ -46,16 +45,10 @@ def small_kwargs(name: str, sequence: str, kwargs: dict[str, Any] | None) -> dic
 
 
 @pytest.fixture
-def make_policy(make_picking: Callable[..., VecEnv]) -> MakePolicy:
+def make_policy(make_picking):
     """Makes a policy: ``make_policy(name, sequence, env, network_kwargs, **kwargs)``."""
 
-    def make(
-        name: str,
-        sequence: str = "pxyr",
-        env: Any = None,
-        network_kwargs: dict[str, Any] | None = None,
-        **kwargs: Any,
-    ) -> SpatialPolicy:
+    def make(name, sequence="pxyr", env=None, network_kwargs=None, **kwargs):
         th.manual_seed(0)
         env = make_picking(action_sequence=sequence) if env is None else env
         spaces = {"observation_space": env.observation_space, "action_space": env.action_space}
@@ -69,13 +62,13 @@ def make_policy(make_picking: Callable[..., VecEnv]) -> MakePolicy:
 
 
 @pytest.fixture
-def policy(case: Case, make_policy: MakePolicy) -> SpatialPolicy:
+def policy(case, make_policy):
     """Small policy of each case."""
     return make_policy(*case)
 
 
 @pytest.fixture
-def scenes(case: Case) -> dict[str, th.Tensor]:
+def scenes(case):
     """Twenty observations of blocks; every other gripper holds something."""
     generator = th.Generator().manual_seed(0)
     heightmap = 0.1 * th.rand(20, 1, 32, 32, generator=generator)
@@ -86,16 +79,10 @@ def scenes(case: Case) -> dict[str, th.Tensor]:
 
 
 @pytest.fixture
-def make_model(make_picking: Callable[..., VecEnv]) -> MakeModel:
+def make_model(make_picking):
     """Makes an algorithm: ``make_model(case, algorithm, env, policy_kwargs, **kwargs)``."""
 
-    def make(
-        case: Case = ("ASRPolicy", "pxyr"),
-        algorithm: type[SpatialDQN] = SDQfD,
-        env: VecEnv | None = None,
-        policy_kwargs: dict[str, Any] | None = None,
-        **kwargs: Any,
-    ) -> SpatialDQN:
+    def make(case=("ASRPolicy", "pxyr"), algorithm=SDQfD, env=None, policy_kwargs=None, **kwargs):
         policy, sequence = case
         kwargs = {"expert_episodes": 3, "batch_size": 4, "buffer_size": 200, "seed": 0, **kwargs}
         env = make_picking(action_sequence=sequence, size=24) if env is None else env

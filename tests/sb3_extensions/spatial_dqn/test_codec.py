@@ -2,7 +2,6 @@
 
 import itertools
 import math
-from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -19,11 +18,11 @@ THETA_BOUNDS = [(0.0, math.pi), (-math.pi, math.pi), (-math.pi / 2, math.pi / 2)
 SIDE = 6
 
 
-def make_codec(sequence: str, **kwargs) -> SpatialActionCodec:
+def make_codec(sequence, **kwargs):
     return SpatialActionCodec(SIDE, sequence, num_rotations=4, num_heights=5, num_tilts=3, **kwargs)
 
 
-def slowly_encoded(codec: SpatialActionCodec, action: np.ndarray) -> list[int]:
+def slowly_encoded(codec, action):
     """Number by number: the place of the grid that is the fewest metres or radians away."""
     value = dict(zip(codec.numbers, action.tolist(), strict=True))
     middles = [(2 * i + 1) / SIDE - 1 for i in range(SIDE)]
@@ -112,12 +111,12 @@ BATCH = 64
 ROWS = np.arange(BATCH)
 
 
-def make_motion(sequence: str = "pxyzrrr") -> RigidMotion:
+def make_motion(sequence="pxyzrrr"):
     codec = SpatialActionCodec(SIZE, sequence, num_rotations=YAWS, num_heights=4, num_tilts=5)
     return RigidMotion(codec, "heightmap")
 
 
-def random_indices(motion: RigidMotion, low: int = 0, high: int = SIZE, count: int = BATCH) -> th.Tensor:
+def random_indices(motion, low=0, high=SIZE, count=BATCH):
     """Of pixels from ``low`` to ``high``, and anything else."""
     generator = th.Generator().manual_seed(1)
     shape = [th.randint(n, (count,), generator=generator) for n in motion.codec.shape]
@@ -125,7 +124,7 @@ def random_indices(motion: RigidMotion, low: int = 0, high: int = SIZE, count: i
     return th.stack([*pixels, *shape[2:]], dim=1)
 
 
-def make_samples(heightmaps: th.Tensor, after: th.Tensor | None = None) -> ExpertReplayBufferSamples:
+def make_samples(heightmaps, after=None):
     count, generator = len(heightmaps), th.Generator().manual_seed(2)
     numbers = [th.rand(count, 1, generator=generator) for _ in range(9)]
     first, second = (
@@ -135,7 +134,7 @@ def make_samples(heightmaps: th.Tensor, after: th.Tensor | None = None) -> Exper
     return ExpertReplayBufferSamples(first, numbers[0], second, *numbers[1:])
 
 
-def move(motion: RigidMotion, samples, indices: th.Tensor, seed: int = 0) -> tuple[Any, th.Tensor]:
+def move(motion, samples, indices, seed=0):
     actions = th.as_tensor(motion.codec.decode(indices.numpy(), np.zeros(len(indices), bool)))
     by_index = motion.move(samples, indices, th.Generator().manual_seed(seed))
     by_action = motion(samples._replace(actions=actions), th.Generator().manual_seed(seed))
@@ -143,7 +142,7 @@ def move(motion: RigidMotion, samples, indices: th.Tensor, seed: int = 0) -> tup
     return by_index
 
 
-def images_around_the_middle() -> th.Tensor:
+def images_around_the_middle():
     images = th.zeros(BATCH, 1, SIZE, SIZE)
     images[:, :, 6:14, 6:14] = 0.02 + 0.1 * th.rand(BATCH, 1, 8, 8, generator=th.Generator().manual_seed(0))
     return images

@@ -1,7 +1,6 @@
 """Policies of spatial Q algorithms: actions on the grid, files, exported programs, untrained values."""
 
 import functools
-from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -59,7 +58,7 @@ def test_saved_policy_has_the_same_actions(policy, scenes, tmp_path):
     assert policy.q_net.training and not policy.q_net_target.training
 
 
-def one_by_one(scenes: Scenes) -> list[Scenes]:
+def one_by_one(scenes):
     return [{name: part[[k]] for name, part in sorted(scenes.items())} for k in range(10)]
 
 
@@ -106,7 +105,7 @@ def test_onnx_model_has_the_actions_of_the_policy(policy, scenes, tmp_path):
 
 
 @functools.cache
-def real_observations(sequence: str) -> tuple[Any, dict[str, th.Tensor]]:
+def real_observations(sequence):
     """Return the environment and observations before and after a pick of the expert."""
     env_id = f"BulletArm/OpenLoop{'Ramp' if 'rrr' in sequence else ''}BlockStacking-v0"
     env = gym.make(env_id, obs_size=48, in_hand_size=12, action_sequence=sequence)

@@ -20,16 +20,16 @@ MARGIN = 0.125  # exact in binary, as are the multiples of it that make ties
 BATCH, CHOICES = 12, 7
 
 
-def slow_strict_margin(row: np.ndarray, chosen: int, level: int) -> float:
+def slow_strict_margin(row, chosen, level):
     above = [q - row[chosen] + MARGIN for a, q in enumerate(row) if a != chosen and q > row[chosen] - MARGIN]
     return float(np.mean(above)) if above else 0.0
 
 
-def slow_large_margin(row: np.ndarray, chosen: int, level: int) -> float:
+def slow_large_margin(row, chosen, level):
     return float(max(q + MARGIN * (a != chosen) for a, q in enumerate(row)) - row[chosen])
 
 
-def slow_cross_entropy(row: np.ndarray, chosen: int, level: int) -> float:
+def slow_cross_entropy(row, chosen, level):
     logits = (100.0 if level == 0 else 1.0) * row
     return float(logits.max() + math.log(np.exp(logits - logits.max()).sum()) - logits[chosen])
 
@@ -45,7 +45,7 @@ each_loss = pytest.mark.parametrize(
 )
 
 
-def make_batch(kind: str) -> tuple[th.Tensor, th.Tensor, th.Tensor]:
+def make_batch(kind):
     """Values (float64), choices, and whether they are the expert's."""
     generator = th.Generator().manual_seed(0)
     values = th.randn(BATCH, CHOICES, generator=generator, dtype=th.float64) * 0.2
@@ -83,7 +83,7 @@ ALGORITHMS = [SpatialDQN, ADET, DQfD, SDQfD]
 ASR, ASR_6D = ("ASRPolicy", "pxyr"), ("EquivariantASRPolicy", "pxyzrrr")
 
 
-def parameters(module) -> dict[str, np.ndarray]:
+def parameters(module):
     return {name: value.detach().numpy().copy() for name, value in module.named_parameters()}
 
 
@@ -93,7 +93,7 @@ def assert_equal(first, second):
         np.testing.assert_array_equal(value, second[name], err_msg=name)
 
 
-def is_on_grid(model: SpatialDQN, actions: np.ndarray) -> bool:
+def is_on_grid(model, actions):
     return np.array_equal(model.codec.snap(actions), actions)
 
 
@@ -117,7 +117,7 @@ def test_training_runs(case, make_model):
     ],
 )
 def test_training_is_deterministic_and_can_be_resumed(kwargs, make_picking, make_model, tmp_path):
-    def make_env(seed: int):
+    def make_env(seed):
         return make_picking(2, seed, size=24, action_sequence=kwargs.get("case", ASR)[1])
 
     def make():
@@ -137,7 +137,7 @@ def test_training_is_deterministic_and_can_be_resumed(kwargs, make_picking, make
     np.testing.assert_array_equal(*samples)
 
 
-def one_update(model: SpatialDQN, **changes):
+def one_update(model, **changes):
     """One gradient step on one sample, which it returns."""
     assert model.replay_buffer is not None
     sample = model.replay_buffer.sample(8)._replace(**changes)
@@ -146,11 +146,11 @@ def one_update(model: SpatialDQN, **changes):
     return sample
 
 
-def huber(error: float) -> float:
+def huber(error):
     return 0.5 * error**2 if abs(error) < 1 else abs(error) - 0.5
 
 
-def copy_of(model: SpatialDQN, name: str):
+def copy_of(model, name):
     network = model.policy.make_q_net()
     network.load_state_dict(getattr(model, name).state_dict())
     return network
