@@ -1,9 +1,9 @@
 """Hyperparameters of experiments: the golden file, the paper's numbers, the order of merging, the flags."""
 
 import os
-from contextlib import closing
 from pathlib import Path
 
+import gymnasium as gym
 import numpy as np
 import pytest
 import yaml
@@ -15,14 +15,12 @@ from sb3_extensions.replay.sampling import PrioritizedSampler, make_sampler
 from sb3_extensions.spatial_dqn.codec import SpatialActionCodec
 from zoo_configs.cli import main
 from zoo_configs.commands.train import build_parser
-from zoo_configs.environments import make_env, our_env_ids
 from zoo_configs.errors import CommandError
-from zoo_configs.experiments.config import explain, explained_yaml, merge, resolve
+from zoo_configs.experiments.config import merge, resolve
 from zoo_configs.experiments.families import Case, families, parse_family
 from zoo_configs.experiments.flags import find_experiment
 from zoo_configs.experiments.validation import check_experiment
 from zoo_configs.files import Dumper, parse_yaml
-from zoo_configs.training.options import TrainingOptions
 
 GOLDEN_FILE = Path(__file__).with_name("golden_experiments.yml")
 WRITE = "WRITE_GOLDEN_EXPERIMENTS"
@@ -66,13 +64,11 @@ def test_every_experiment_is_valid():
         check_experiment(resolve(*names))
 
 
-@pytest.mark.parametrize("env_id", our_env_ids())
-def test_buffers_hold_all_demonstrations(env_id):
+def test_buffers_hold_all_demonstrations():
     """Even if each is as long as the time limit, with room for the agent's transitions."""
-    with closing(make_env(env_id, {})) as env:
-        limit = env.unwrapped.config.max_steps  # type: ignore[attr-defined]
-    for names in (names for names in ALL if names[2] == env_id):
+    for names in ALL:
         hyperparams = hyperparams_of(*names)
+        limit = gym.spec(names[2]).max_episode_steps
         needed = hyperparams.get("expert_episodes", 0) * (limit + 1)
         assert hyperparams["buffer_size"] >= needed + 100, names
 
@@ -203,20 +199,19 @@ def test_overrides_are_merged_last_and_shared_with_nothing():
 
 def test_a_grid_of_actions_covers_the_yaws_and_the_workspace():
     workspace = [[0.3, 0.6], [-0.15, 0.15], [0.01, 0.25]]
-    env_kwargs = {"half_rotation": False, "workspace": workspace, "random_orientation": True}
-    hyperparams = hyperparams_of("sdqfd_equi_asr", "cpu", STACKING, {"env_kwargs": env_kwargs})
-    codec = SpatialActionCodec(64, "pxyr", **hyperparams["policy_kwargs"]["codec_kwargs"])
+    given = {"env_kwargs": {"half_rotation": False, "workspace": workspace, "random_orientation": True}}
+    codec_kwargs = hyperparams_of("sdqfd_equi_asr", "cpu", STACKING, given)["policy_kwargs"]["codec_kwargs"]
+    codec = SpatialActionCodec(64, "pxyr", **codec_kwargs)
     assert codec.workspace_size == pytest.approx(0.3)
     pick = codec.decode(np.array([[32, 32, 8]]), np.array([False]))[0]
     assert pick[3] * np.pi == pytest.approx(8 * np.pi / codec.shape[2])
-    given = {"env_kwargs": env_kwargs, "policy_kwargs": {"codec_kwargs": {"theta_bounds": [-4.0, 4.0]}}}
+    given["policy_kwargs"] = {"codec_kwargs": {"theta_bounds": [-4.0, 4.0]}}
     hyperparams = hyperparams_of("sdqfd_equi_asr", "cpu", STACKING, given)
     assert hyperparams["policy_kwargs"]["codec_kwargs"]["theta_bounds"] == [-4.0, 4.0]
-    assert hyperparams_of("sdqfd_equi_asr", "cpu", STACKING)["policy_kwargs"]["codec_kwargs"] == {}
 
 
-@pytest.mark.parametrize("size", [16, 48, 64, 128, 224])
-@pytest.mark.parametrize("baseline", ["sacfd", "equi_sacfd", "drq_sac"])
+@pytest.mark.parametrize("size", [16, 48, 64, 224])
+@pytest.mark.parametrize("baseline", ["sacfd", "equi_sacfd"])
 def test_presets_fit_the_image_size(baseline, size):
     experiment = resolve(baseline, "cpu", PICKING, {"env_kwargs": {"obs_size": size}})
     check_experiment(experiment)
@@ -224,43 +219,23 @@ def test_presets_fit_the_image_size(baseline, size):
     plan_stages(size, len(encoder["channels"]), encoder["strided"])
     own = hyperparams_of(baseline, "cpu", PICKING)["policy_kwargs"]["features_extractor_kwargs"]
     assert set(encoder["channels"]) == set(own["channels"]) and (size != 64 or encoder == own)
-    chosen = {"policy_kwargs": {"features_extractor_kwargs": {"channels": [8, 8, 8, 8]}}}
-    kept = hyperparams_of(baseline, "cpu", PICKING, {"env_kwargs": {"obs_size": size}, **chosen})
-    assert kept["policy_kwargs"]["features_extractor_kwargs"]["channels"] == [8, 8, 8, 8]
 
 
 # ---- Sources
 
 
-@pytest.mark.parametrize(
-    ("baseline", "env_id"), [("equi_sacfd", PICKING), ("drq_sac", PICKING), ("sdqfd_equi_asr", STACKING)]
-)
-def test_every_value_has_a_source(baseline, env_id):
-    overrides = {"gamma": 0.5, "env_kwargs": {"obs_size": 128}}
-    experiment, sources = explain(baseline, "cpu", env_id, overrides)
-    assert experiment == resolve(baseline, "cpu", env_id, overrides)
-    assert sources["hyperparams.gamma"].source == "command line"
-    assert sources["hyperparams.expert_episodes"].source.startswith("bulletarm_gym.benchmarks")
-    assert sources["flags.eval_freq"].source.endswith("presets.cpu")
-    if (channels := "hyperparams.policy_kwargs.features_extractor_kwargs.channels") in sources:
-        assert sources[channels] is sources["hyperparams.env_kwargs.obs_size"]
-    options = TrainingOptions.of(experiment).plain()
-    lines = explained_yaml(experiment, options, {}).splitlines()
-    assert all("  # " in line or line.endswith(":") for line in lines)
-    content = parse_yaml("\n".join(lines))
-    assert content == {"algo": experiment.algo, env_id: experiment.hyperparams, "options": options}
-
-
-def test_a_dry_run_prints_source_and_reason(capsys):
+def test_a_dry_run_prints_every_value_with_its_source(capsys):
     line = f"--env {PICKING} --baseline drq_sacfd --preset paper -n 7 -params tau:1e-2 callback:None"
     assert main(["train", "--dry-run", *line.split()]) == 0
     printed = capsys.readouterr().out
-    content = parse_yaml(printed)
-    assert content[PICKING]["augmentation"]["drq"]["pad"] == 4
+    content, experiment = parse_yaml(printed), experiment_of(line)
+    assert content[PICKING] == experiment.hyperparams and content[PICKING]["augmentation"]["drq"]["pad"] == 4
     assert content[PICKING]["tau"] == 0.01 and content["options"]["n_timesteps"] == 7
+    assert all("  # " in line or line.endswith(":") for line in printed.splitlines())
     lines = {line.split(":")[0].strip(): line for line in printed.splitlines()}
     assert lines["pad"].endswith("# close_loop.yml, presets.paper.additions.drq")
     assert "defaults" in lines["gamma"] and "appendix" in lines["gamma"]
+    assert "bulletarm_gym.benchmarks" in lines["expert_episodes"]
     assert all("command line" in lines[name] for name in ("tau", "callback", "n_timesteps"))
 
 
@@ -288,13 +263,14 @@ def test_an_algorithm_alone_selects_a_baseline_that_serves_the_task(line, baseli
 def test_stock_algorithms_have_a_policy_for_our_observations(algo):
     experiment = experiment_of(f"--algo {algo} --env STACKING --env-kwargs obs_size:32")
     check_experiment(experiment)
-    assert experiment.hyperparams["policy"] == "MultiInputPolicy"
-    assert experiment.hyperparams["policy_kwargs"]["features_extractor_class"].endswith(".CnnExtractor")
-    states = experiment_of(f"--algo {algo} --env STACKING --env-kwargs observation:state").hyperparams
-    assert states["policy"] == "MultiInputPolicy" and "policy_kwargs" not in states
-    assert experiment_of(f"--algo {algo} --env Pendulum-v1").hyperparams["policy"] == "MlpPolicy"
-    chosen = experiment_of(f"--algo {algo} --env STACKING -params policy:CnnPolicy").hyperparams
-    assert chosen["policy"] == "CnnPolicy"
+    extractor = experiment.hyperparams["policy_kwargs"]["features_extractor_class"]
+    assert experiment.hyperparams["policy"] == "MultiInputPolicy" and extractor.endswith(".CnnExtractor")
+    for more, policy in (
+        ("STACKING --env-kwargs observation:state", "MultiInputPolicy"),
+        ("Pendulum-v1", "MlpPolicy"),
+        ("STACKING -params policy:CnnPolicy", "CnnPolicy"),
+    ):
+        assert experiment_of(f"--algo {algo} --env {more}").hyperparams["policy"] == policy
 
 
 def test_values_are_yaml_of_version_1_2():

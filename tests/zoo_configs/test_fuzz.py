@@ -51,7 +51,7 @@ def draw(rng):
 
 
 @pytest.mark.parametrize(
-    ("seed", "number"), [(0, 40), *(pytest.param(seed, 150, marks=pytest.mark.slow) for seed in range(1, 11))]
+    ("seed", "number"), [(0, 20), *(pytest.param(seed, 150, marks=pytest.mark.slow) for seed in range(1, 11))]
 )
 def test_random_command_lines(seed, number, toy_id, trained, tmp_path, capsys, monkeypatch):
     [run] = trained.glob("sacfd/*_1")

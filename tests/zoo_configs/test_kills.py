@@ -46,13 +46,12 @@ TUNE = ["tune", "--baseline", "sacfd", "--preset", "quick", "--env-kwargs", "obs
 TUNE += ["--num-threads", "1", "--eval-episodes", "1", "--n-evaluations", "2", "--n-startup-trials", "1"]
 TUNE += ["--n-trials", "2", "-params", "expert_episodes:2", "pretrain_steps:2", "batch_size:4"]
 TUNE += ["buffer_size:100", "n_envs:1"]
-# Moments of about 45 events of a training and 60 of a study. The default suite has the first ones.
-MOMENTS = np.random.default_rng(0)
-SLOW = pytest.mark.slow
-OF_TRAINING = [
-    pytest.param(int(m), marks=[SLOW] * (n > 1)) for n, m in enumerate(MOMENTS.integers(1, 45, 27))
-]
-OF_STUDY = [pytest.param(int(m), marks=[SLOW] * (n > 0)) for n, m in enumerate(MOMENTS.integers(1, 60, 26))]
+
+
+def moments(highest, count):
+    """Numbers of events; the default run has the first one alone."""
+    numbers = np.random.default_rng(0).integers(1, highest, count).tolist()
+    return [numbers[0], *(pytest.param(number, marks=pytest.mark.slow) for number in numbers[1:])]
 
 
 def train(toy_id, folder):
@@ -71,7 +70,7 @@ def run_dying(folder, moment, code):
     return done.returncode
 
 
-@pytest.mark.parametrize("moment", OF_TRAINING)
+@pytest.mark.parametrize("moment", moments(45, 27))
 def test_a_killed_training_loses_nothing(moment, toy_id, tmp_path):
     code = f"import test_kills; test_kills.train({toy_id!r}, test_kills.Path({str(tmp_path)!r}))"
     assert run_dying(tmp_path, moment, code) in (0, -9)
@@ -88,7 +87,7 @@ def counted(folder, study):
     return sorted(kept, key=str)
 
 
-@pytest.mark.parametrize("moment", OF_STUDY)
+@pytest.mark.parametrize("moment", moments(60, 26))
 def test_a_killed_study_loses_nothing(moment, toy_id, tmp_path):
     (tmp_path / "space.yml").write_text("learning_rate: {low: 0.0001, high: 0.01, log: true}")
     words = [*TUNE, "--env", toy_id, "-f", str(tmp_path / "logs"), "--space", str(tmp_path / "space.yml")]

@@ -58,7 +58,7 @@ def make_model(name, toy_id, **more):
     env = gym.make(toy_id, obs_size=48)
     if name == "ferm":
         extractor = {"channels": [4, 8, 8, 8, 8], "features_dim": 6, "autocast": "bf16"}
-        kwargs: dict[str, Any] = {"features_extractor_kwargs": extractor, "actor_tau": 0.1, "net_arch": [8]}
+        kwargs = {"features_extractor_kwargs": extractor, "actor_tau": 0.1, "net_arch": [8]}
         return FERM("MultiInputPolicy", env, seed=0, augmentation="drq", policy_kwargs=kwargs)
     kwargs = {"features_extractor_kwargs": {"n": 4, "channels": [1, 2, 2, 2, 2]}, "actor_tau": None}
     kwargs |= {"shared": {"share_features_extractor": True}, "average": {"actor_tau": 0.1}}.get(name, {})
