@@ -8,7 +8,7 @@ import imageio.v3 as iio
 import pytest
 
 import fill_tables
-from measurements import DataFile, number
+from measurements import DataFile
 
 HEAD = "env robot env_kwargs snap episodes first_seed success mean_steps machine date commit command".split()
 EXPERT = dict.fromkeys(HEAD, "") | {"env": "CloseLoopBlockReaching", "robot": "kuka", "episodes": "200"}
@@ -20,22 +20,14 @@ def place(name, content=""):
     return f"<!-- data: {name} -->{content}<!-- end of data -->"
 
 
-def test_a_row_replaces_the_one_with_its_key(tmp_path):
+def test_a_row_replaces_the_one_with_its_key_in_a_file_with_its_columns(tmp_path):
     data = DataFile(tmp_path / "experts.csv", KEY)
     for changes in {}, {"robot": "ur5"}, {"success": "0.5"}:
         data.add({**EXPERT, **changes})
     assert [(row["robot"], row["success"]) for row in data.read()] == [("kuka", "0.5"), ("ur5", "0.995")]
-
-
-def test_a_file_with_other_columns_is_rejected(tmp_path):
     (tmp_path / "experts.csv").write_text("a,b\n1,2\n")
     with pytest.raises(SystemExit, match=r"experts\.csv"):
-        DataFile(tmp_path / "experts.csv", KEY).read()
-
-
-def test_numbers_have_no_trailing_zeros():
-    assert [number(value, 3) for value in (1.0, 0.5, 0.1236, 100.0)] == ["1", "0.5", "0.124", "100"]
-    assert number(100.0, 0) == "100" and number(float("nan"), 2) == ""
+        data.read()
 
 
 def test_places_are_filled_and_the_rest_is_kept(tmp_path, monkeypatch):
@@ -45,9 +37,7 @@ def test_places_are_filled_and_the_rest_is_kept(tmp_path, monkeypatch):
     page = tmp_path / "page.md"
     old = {"table": place("table", "\n\nold\n\n"), "fold": place("table")}
     page.write_text(text.format(two=place("two", "3"), **old))
-    table, fold = (
-        f"\n\n{indentation}| a |\n{indentation}| - |\n\n{indentation}" for indentation in ("", "    ")
-    )
+    table, fold = (f"\n\n{indent}| a |\n{indent}| - |\n\n{indent}" for indent in ("", "    "))
     new = {"table": place("table", table), "fold": place("table", fold)}
     wanted = text.format(two=place("two", "2"), **new)
     monkeypatch.setattr(sys, "argv", ["fill_tables.py", str(page)])
@@ -114,11 +104,3 @@ def test_tasks_are_drawn(tmp_path, monkeypatch):
     names = ["OpenLoopBlockStacking-v0-heightmap.webp", "OpenLoopBlockStacking-v0.webp"]
     assert sorted(path.name for path in tmp_path.iterdir()) == names
     assert iio.imread(tmp_path / names[1]).shape == (30, 52, 3)
-
-
-def test_curves_are_kept_in_a_file(tmp_path, monkeypatch):
-    data = tmp_path / "curves.csv"
-    source = (TOOLS.parent / "docs" / "data" / "six_baselines.csv").read_text().splitlines()
-    data.write_text("\n".join(source[:3]) + "\n")
-    run(monkeypatch, "draw_curves.py", str(data), "-o", str(tmp_path / "curves.png"))
-    assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")

@@ -23,9 +23,7 @@ STACKING = "BulletArm/OpenLoopBlockStacking-v0"
 
 
 def test_an_extended_run_equals_a_longer_one(train_tiny, tmp_path, capsys, refuse):
-    """At a constant learning rate, because a schedule depends on the end of the training. If the newest checkpoint
-    is damaged, it continues from the older one.
-    """
+    """Also from an older checkpoint, if the newest is damaged. A schedule would depend on the end of training."""
     runs = extended, damaged, longer = [tmp_path / name / "sacfd" / RUN_NAME for name in "abc"]
     constant = ("--preset", "quick", "n_envs:1", "learning_rate:0.001")
     assert train_tiny(tmp_path / "a", *constant) == 0
