@@ -100,6 +100,13 @@ def test_only_simulation_uses_the_engine():
             assert "client" not in attributes, f"{path} uses PyBullet's client"
 
 
+def test_learners_import_the_environments_for_a_file_of_episodes_only():
+    """In a function."""
+    for path in (ROOT / "sb3_extensions").rglob("*.py"):
+        imports = [node for node in _tree(path).body if isinstance(node, ast.Import | ast.ImportFrom)]
+        assert "bulletarm_gym" not in "".join(map(ast.unparse, imports)), path
+
+
 def test_importing_the_package_is_light():
     heavy = ["pybullet", "numba", "torch", "stable_baselines3", "h5py", "matplotlib"]
     code = f"import sys, bulletarm_gym; print(sorted(set({heavy}) & set(sys.modules)))"

@@ -11,7 +11,6 @@ from torch import nn
 from sb3_extensions.common.action_sequence import ActionSequence
 from sb3_extensions.encoders.extractors import CnnExtractor
 from sb3_extensions.ferm import FERM
-from sb3_extensions.sacfd import SACfD
 from sb3_extensions.sacfd.policies import EquivariantPolicy, MultiInputPolicy
 from sb3_extensions.tqcfd import TQCfD
 from sb3_extensions.tqcfd.policies import EquivariantPolicy as EquivariantTQCPolicy
@@ -76,8 +75,9 @@ def turn_actions(actions, sequence, turns, mirror):
         ("cyclic", 4, EquivariantTQCPolicy),
     ],
 )
-@pytest.mark.parametrize("sequence", ["pxyzr", "pxyz", "rpxryzr"])
-@pytest.mark.parametrize("hidden, space", [([], SCENE), ([8], IN_HAND)])
+@pytest.mark.parametrize(
+    "sequence, hidden, space", [("pxyzr", [], SCENE), ("pxyz", [8], IN_HAND), ("rpxryzr", [8], SCENE)]
+)
 def test_actor_and_critic_rotate_with_the_scene(group, n, policy_class, sequence, hidden, space):
     extractor = {**SMALL, "group": group, "n": n}
     kwargs = {"action_sequence": sequence, "net_arch": {"pi": hidden, "qf": hidden or [4]}}
@@ -184,10 +184,7 @@ def test_first_updates_count_alike_then_the_latest_most(make_learner):
     np.testing.assert_allclose(weights(model.policy.actor_average.module), expected, atol=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("learner", "policy"),
-    [(SACfD, "MultiInputPolicy"), (TQCfD, "EquivariantPolicy"), (FERM, "MultiInputPolicy")],
-)
+@pytest.mark.parametrize(("learner", "policy"), [(TQCfD, "EquivariantPolicy"), (FERM, "MultiInputPolicy")])
 def test_average_acts_where_actions_are_not_sampled(learner, policy, make_toy, make_learner, tmp_path):
     """The average is saved and not trained, and learning is the same with it."""
     model = make_learner(make_toy(2), learner, policy, policy_kwargs={"actor_tau": 0.25}).learn(20)
