@@ -6,9 +6,7 @@ import pytest
 import torch as th
 from stable_baselines3.common.preprocessing import is_image_space, preprocess_obs
 from stable_baselines3.common.utils import obs_as_tensor
-from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor
 
-from bulletarm_gym.vector import make_multi_task_vec
 from sb3_extensions.encoders.extractors import CnnExtractor, EquivariantExtractor
 from sb3_extensions.sacfd import SACfD
 
@@ -84,14 +82,3 @@ def test_sacfd_learns_from_colours_and_keeps_them_exactly(policy, observation, p
         assert values.dtype == seen[name].dtype
     assert model.predict(seen)[0].shape == env.action_space.shape
     env.close()
-
-
-def test_demonstrations_come_from_each_task_in_proportion():
-    vec_env = VecMonitor(make_multi_task_vec(TASKS, 2, DummyVecEnv, obs_size=64))
-    model = SACfD("EquivariantPolicy", vec_env, expert_episodes=6, policy_kwargs=EQUIVARIANT, seed=0).learn(6)
-    table = model.replay_buffer.table
-    rows = slice(0, table.n_pinned)
-    ends = table.observations["task_id"][rows][~table.columns["valid"][rows]]  # an episode ends in such a row
-    vec_env.close()
-    np.testing.assert_array_equal(ends.sum(axis=0), [2, 2, 2])
-    assert len(ends) == 6

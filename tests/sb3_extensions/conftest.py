@@ -5,7 +5,6 @@ picking and placing, open loop.
 import copy
 import functools
 import math
-from collections.abc import Callable
 from typing import Any, ClassVar
 
 import gymnasium as gym
@@ -13,7 +12,6 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 from stable_baselines3.common.env_util import make_vec_env
-from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_extensions.ferm import FERM
 from sb3_extensions.sacfd import SACfD
@@ -112,7 +110,7 @@ class ToyPicking(Restorable):
     A place may have any yaw. Images show 0.4 m. Actions are from ``low`` to ``high``.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"]}
+    metadata = ToyReach.metadata
     STATE = ("bar", "pad", "yaw", "in_hand", "holding", "steps")
     BAR, PAD = (0.03, 0.10, 0.05), (0.08, 0.08, 0.02)  # width, length, height, m
     AT_BAR, AT_PAD = 0.02, 0.03  # maximum distance from their centres, m
@@ -146,9 +144,7 @@ class ToyPicking(Restorable):
                 "holding": spaces.Box(0.0, 1.0, (1,), np.float32),
             }
         )
-        self.bar, self.pad, self.yaw = np.zeros(2), np.zeros(2), 0.0
         self.in_hand = np.zeros(in_hand, np.float32)
-        self.holding, self.steps = False, 0
 
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
@@ -166,8 +162,7 @@ class ToyPicking(Restorable):
         a, b = np.transpose([self.RANGES[name] for name in self.names])
         if inverse:
             return (low + (numbers - a) / (b - a) * (high - low)).astype(np.float32)
-        result: np.ndarray = a + (np.clip(numbers, low, high) - low) / (high - low) * (b - a)
-        return result
+        return a + (np.clip(numbers, low, high) - low) / (high - low) * (b - a)
 
     def decode_action(self, action):
         return dict(zip(self.names, self._from_units(action).tolist(), strict=True))
@@ -234,10 +229,8 @@ if ENV_ID not in gym.registry:
     gym.register(ENV_ID, entry_point=ToyReach)
     gym.register(PICKING_ID, entry_point=ToyPicking)
 
-MakeEnv = Callable[..., VecEnv]
-MakeLearner = Callable[..., SACfD]
 # Encoders and heads small enough for tests that learn.
-SMALL: dict[str, dict[str, Any]] = {
+SMALL = {
     "MultiInputPolicy": {"features_extractor_kwargs": {"channels": [4, 8, 8]}, "net_arch": [16]},
     "EquivariantPolicy": {"features_extractor_kwargs": {"n": 4, "channels": [2, 4, 8]}},
     "StatePolicy": {"features_extractor_kwargs": {"layers": [32, 32]}, "net_arch": {"pi": [], "qf": [32]}},
@@ -266,7 +259,7 @@ def make_learner(make_toy):
     """Makes a small learner of the toy task: ``make_learner(env, learner, policy, **kwargs)``."""
 
     def make(env=None, learner=SACfD, policy="MultiInputPolicy", policy_kwargs=None, **kwargs):
-        settings: dict[str, Any] = {"expert_episodes": 5, "batch_size": 16, "buffer_size": 500, "seed": 0}
+        settings = {"expert_episodes": 5, "batch_size": 16, "buffer_size": 500, "seed": 0}
         if learner is FERM:
             settings |= {"augmentation": {"drq": {"pad": 1}}, "contrastive_steps": 3}
         network = {**SMALL.get(policy, {"net_arch": [16]}), **(policy_kwargs or {})}

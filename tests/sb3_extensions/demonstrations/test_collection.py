@@ -103,13 +103,6 @@ def test_environments_without_successes_or_expert_are_rejected():
         collect(1, env=gym.make("Pendulum-v1"))
 
 
-def test_an_observation_without_a_dict_has_one_key():
-    heightmap = make_env().observation_space["heightmap"]
-    env = gym.wrappers.TransformObservation(make_env(), lambda obs: obs["heightmap"], heightmap)
-    [episode] = collect(1, env=env)
-    assert episode.observations["observation"].shape == (len(episode.actions) + 1, 1, 16, 16)
-
-
 class Halved(gym.ObservationWrapper[Any, Any, Any]):
     """Wrapper that a spec cannot create again."""
 
@@ -132,9 +125,8 @@ def demonstrated(model, key="heightmap"):
 def test_a_copy_has_the_wrappers_but_not_the_monitor(tmp_path):
     env = DummyVecEnv([lambda: Monitor(Halved(make_env(max_steps=7)), str(tmp_path / "log"))])
     [(copy, share)] = make_expert_envs(VecNormalize(env, norm_obs_keys=["holding"]))
-    assert share == 1 and isinstance(copy, DummyVecEnv)
-    assert isinstance(copy.envs[0], Halved) and copy.envs[0].unwrapped is not env.envs[0].unwrapped
-    assert copy.envs[0].unwrapped.max_steps == 7
+    assert share == 1 and isinstance(copy, DummyVecEnv) and isinstance(copy.envs[0], Halved)
+    assert copy.envs[0].unwrapped is not env.envs[0].unwrapped and copy.envs[0].unwrapped.max_steps == 7
     env.reset()
     env.step(np.zeros((1, 5), np.float32))  # the monitor of the training still has its file
     assert env.envs[0].results_writer is not None

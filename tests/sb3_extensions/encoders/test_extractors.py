@@ -91,13 +91,11 @@ def test_stack_scales_images_and_repeats_numbers(standardise, above_ground, quan
     space = observation_space(**others, colour=spaces.Box(0, 255, (3, SIZE, SIZE), np.uint8))
     stack = StackedImage(space, quantise, standardise=standardise, above_ground=above_ground)
     observations = {**sample(space), "stage": th.eye(4)[:3]}
-    image, expected = stack(observations), [observations["colour"]]
-    seen = observations["heightmap"]
+    image, seen = stack(observations), observations["heightmap"]
     farthest = seen.amax(dim=(1, 2, 3), keepdim=True)
-    if above_ground:
-        seen = farthest - seen
+    height = farthest - seen if above_ground else seen
     mean, deviation = standardise or (0.0, 0.4)
-    expected.append((seen - mean) / deviation)
+    expected = [observations["colour"], (height - mean) / deviation]
     if above_ground:
         expected.append(((farthest - 0.2) / 0.1).expand_as(seen))
     for key in ("extra", "holding", "stage"):
@@ -201,8 +199,7 @@ def test_extractors_and_policies_serve_other_algorithms(algorithm, policy, polic
     settings |= {"policy_kwargs": policy_kwargs, "batch_size": 4, "seed": 0, "device": "cpu"}
     model = algorithm(policy, env, **settings)
     before = model.policy.parameters_to_vector()
-    model.learn(8)
-    after = model.policy.parameters_to_vector()
+    after = model.learn(8).policy.parameters_to_vector()
     assert np.isfinite(after).all() and not np.array_equal(after, before)
     model.save(tmp_path / "model")
     observation = model.get_env().reset()

@@ -8,10 +8,9 @@ import pytest
 import torch as th
 from scipy.linalg import block_diag
 
-from sb3_extensions.encoders.extractors import EquivariantEncoder
 from sb3_extensions.equivariant.groups import FieldType, Group
 from sb3_extensions.equivariant.harmonics import harmonic_basis
-from sb3_extensions.equivariant.layers import EquivariantConv2d, EquivariantLinear, expanded_filters
+from sb3_extensions.equivariant.layers import EquivariantConv2d, expanded_filters
 from sb3_extensions.equivariant.steerable import WHOLE_BASIS_LIMIT
 
 C4, C8, C16 = (Group("cyclic", n) for n in (4, 8, 16))
@@ -37,13 +36,9 @@ FIELDS = 8
 # (pixels), one column for each filter of 3 to 8 pixels.
 ESCNN = {
     (8, 5.0): (0.00177, 0.00025, 0.00054, 0.03958, 0.00143, 0.08275),
-    (16, 5.0): (0.00145, 0.00020, 0.00044, 0.03232, 0.00117, 0.09598),
-    (32, 5.0): (0.00134, 0.00019, 0.00041, 0.02992, 0.00108, 0.08886),
     (8, 2.0): (0.01305, 0.00405, 0.00741, 0.07386, 0.01181, 0.07756),
-    (16, 2.0): (0.01068, 0.00332, 0.00606, 0.06036, 0.00968, 0.09265),
     (32, 2.0): (0.00989, 0.00308, 0.00561, 0.05589, 0.00896, 0.08577),
     (8, 1.0): (0.04005, 0.04156, 0.03753, 0.07810, 0.03297, 0.06789),
-    (32, 1.0): (0.02980, 0.03134, 0.02882, 0.05963, 0.02531, 0.07857),
 }
 
 
@@ -152,36 +147,3 @@ def test_largest_layers_need_little_memory():
     assert weight.shape == (16 * 32, 8 * 32, 7, 7) and sum(saved) < weight.numel()
     # A field's first column may be anything, so its filters are as many as there are harmonics and numbers.
     assert [parameter.shape for parameter in layer.weights.values()] == [(16, 8, 22 * 32)]
-
-
-# Action and values (two fields) of a small actor and critic behind an encoder.
-STORED = {
-    C4: (
-        [-0.000908, -0.100342, -0.074992, -0.201935, -0.177302],
-        [[0.011417, 0.446298, 0.046876, 0.486022], [-0.324128, -0.456022, -0.336141, -0.412275]],
-    ),
-    D4: (
-        [-0.435788, -0.049708, 0.050491, 0.034773, -0.225637],
-        [
-            [-0.229093, -0.097067, -0.176883, -0.918404, -0.09694, -0.825089, -0.281316, -0.324952],
-            [-0.006162, -0.250437, 0.205073, -0.113424, 0.294541, -0.475133, 0.057585, 0.079482],
-        ],
-    ),
-}
-
-
-@pytest.mark.parametrize("group", STORED, ids=str)
-def test_networks_of_a_seed_have_stored_outputs(group):
-    th.manual_seed(3)
-    encoder = EquivariantEncoder(2, 16, group, (4, 4, 4), strided=1)
-    action_type = FieldType.of((group.irrep(1), 1), (group.sign, 1), (group.trivial, 2))
-    actor = EquivariantLinear(encoder.out_type, action_type)
-    critic = EquivariantLinear(encoder.out_type + action_type, FieldType.of((group.regular, 2)))
-    image = th.linspace(0, 40, 512).sin().reshape(1, 2, 16, 16)
-    with th.no_grad():
-        features = encoder(image)
-        action = actor(features)
-        values = critic(th.cat([features, action], dim=1))
-    stored_action, stored_values = STORED[group]
-    np.testing.assert_allclose(action[0], stored_action, atol=1e-5)
-    np.testing.assert_allclose(values[0], np.ravel(stored_values), atol=1e-5)

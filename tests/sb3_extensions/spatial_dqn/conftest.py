@@ -1,18 +1,14 @@
 """Spatial Q algorithms small enough for tests."""
 
-from collections.abc import Callable
-from typing import Any
-
 import pytest
 import torch as th
 
 from sb3_extensions.spatial_dqn import SDQfD, SpatialDQN
-from sb3_extensions.spatial_dqn.policies import SpatialPolicy
 
-PLAIN: dict[str, Any] = {"channels": [4, 8, 8], "in_hand_channels": [4, 4, 8]}
-EQUIVARIANT: dict[str, Any] = {"fields": [4, 4, 6], "in_hand_channels": [4, 4, 8, 8]}
-PATCHES: dict[str, Any] = {"patch_channels": [4, 4, 8, 8], "patch_hidden": [16, 8]}
-NETWORKS: dict[str, dict[str, Any]] = {
+PLAIN = {"channels": [4, 8, 8], "in_hand_channels": [4, 4, 8]}
+EQUIVARIANT = {"fields": [4, 4, 6], "in_hand_channels": [4, 4, 8, 8]}
+PATCHES = {"patch_channels": [4, 4, 8, 8], "patch_hidden": [16, 8]}
+NETWORKS = {
     "FCNPolicy": PLAIN,
     "RotFCNPolicy": PLAIN,
     "EquivariantFCNPolicy": {**EQUIVARIANT, "hidden": 16},
@@ -25,15 +21,11 @@ CASES = [
     *[(name, "pxy") for name in ("FCNPolicy", "EquivariantFCNPolicy")],
     *[(name, "pxyzrrr") for name in ("ASRPolicy", "EquivariantASRPolicy")],
 ]
-Case = tuple[str, str]
-MakeModel = Callable[..., SpatialDQN]
-MakePolicy = Callable[..., SpatialPolicy]
 
 
 @pytest.fixture(params=CASES, ids="-".join)
 def case(request):
     """A policy and an action sequence that fits."""
-    assert isinstance(request.param, tuple)
     return request.param
 
 
@@ -54,9 +46,7 @@ def make_policy(make_picking):
         spaces = {"observation_space": env.observation_space, "action_space": env.action_space}
         networks = {"network_kwargs": {**NETWORKS[name], **(network_kwargs or {})}}
         arguments = small_kwargs(name, sequence, {**spaces, **networks, **kwargs})
-        policy = SpatialDQN.policy_aliases[name](lr_schedule=lambda _: 1e-3, **arguments)
-        assert isinstance(policy, SpatialPolicy)
-        return policy
+        return SpatialDQN.policy_aliases[name](lr_schedule=lambda _: 1e-3, **arguments)
 
     return make
 
