@@ -62,9 +62,6 @@ def test_demonstrations_of_another_environment_are_refused(picking, tmp_path, ca
         message = capsys.readouterr().err
         assert all(text in message for text in texts)
     assert not list(tmp_path.iterdir())
-
-
-def test_demonstrations_of_another_task_can_be_accepted(picking, tmp_path):
     assert train(tmp_path, picking, *SMALL, "--env", REACHING, "--allow-mismatched-demos") == 0
 
 
@@ -89,7 +86,6 @@ def test_a_killed_collection_leaves_nothing(tmp_path):
     words = ["demos", "--env", PICKING, "-n", "100000", "-P", *SMALL, "-o", str(tmp_path / "a.h5")]
     command = [sys.executable, "-m", "zoo_configs.cli", *words]
     with subprocess.Popen(command, stderr=subprocess.PIPE, cwd=ROOT) as process:
-        assert process.stderr is not None
         printed = b""
         while not re.search(rb"[1-9]\d*/100000 ", printed):
             character = process.stderr.read(1)

@@ -138,7 +138,7 @@ def test_ctrl_c_counts_as_killed(train):
 def test_rl_zoo3_evaluates_our_runs(algo, env_id, hyperparams, tmp_path, monkeypatch):
     enjoy, algos = pytest.importorskip("rl_zoo3.enjoy"), pytest.importorskip("rl_zoo3.utils").ALGOS
     monkeypatch.setitem(algos, algo, algorithm_classes()[algo])
-    common = {"n_timesteps": 12, "buffer_size": 200, "learning_starts": 4, "learning_rate": "lin_1e-3"}
+    common = {"n_timesteps": 12, "buffer_size": 900, "learning_starts": 4, "learning_rate": "lin_1e-3"}
     experiment = ExperimentConfig(algo, env_id, {**hyperparams, **common})
     run = train_experiment(experiment, 0, "cpu", tmp_path, options=TrainingOptions(eval_freq=6, verbose=0))
     assert run.statistics_file.is_file() == (algo == "sac")

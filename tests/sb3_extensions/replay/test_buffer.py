@@ -81,7 +81,7 @@ def sampled_ids(tensors):
 
 
 def find_kept(player, size):
-    """Return the latest steps that fit into rings of ``size`` rows, each with those after it in its episode."""
+    """Return the latest steps that fit into rings of ``size`` rows, each with those that follow it."""
     kept = {}
     for steps in player.steps:
         rows, episode = 1, []  # a row of the last observation
