@@ -30,21 +30,6 @@ def test_a_row_replaces_the_one_with_its_key_in_a_file_with_its_columns(tmp_path
         data.read()
 
 
-def test_places_are_filled_and_the_rest_is_kept(tmp_path, monkeypatch):
-    figures = {"two": lambda _: "2", "table": lambda _: "| a |\n| - |"}
-    monkeypatch.setattr(fill_tables, "FIGURES", figures)
-    text = "As in `<!-- data: NAME -->`.\n\nIt is {two} times.\n\n{table}\n\n??? info\n\n    {fold}\n\nEnd\n"
-    page = tmp_path / "page.md"
-    old = {"table": place("table", "\n\nold\n\n"), "fold": place("table")}
-    page.write_text(text.format(two=place("two", "3"), **old))
-    table, fold = (f"\n\n{indent}| a |\n{indent}| - |\n\n{indent}" for indent in ("", "    "))
-    new = {"table": place("table", table), "fold": place("table", fold)}
-    wanted = text.format(two=place("two", "2"), **new)
-    monkeypatch.setattr(sys, "argv", ["fill_tables.py", str(page)])
-    fill_tables.main()
-    assert page.read_text() == wanted
-
-
 @pytest.mark.parametrize("text", [place("sped"), place("speed").replace("end", "ned")])
 def test_no_page_is_written_if_one_cannot_be_filled(text, tmp_path, monkeypatch):
     DataFile(tmp_path / "experts.csv", KEY).add(EXPERT)

@@ -5,7 +5,6 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import optuna
@@ -33,7 +32,7 @@ HERE = Path(__file__).parent
 ROOT = HERE.parent.parent
 # Where processes find the toys as a package of a user's.
 PATH = os.pathsep.join([str(ROOT), str(HERE), os.environ.get("PYTHONPATH", "")])
-TINY: dict[str, Any] = {
+TINY = {
     "tasks": ["CloseLoopToy"],
     "baselines": ["sacfd"],
     "preset": "quick",

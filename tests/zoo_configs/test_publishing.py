@@ -105,7 +105,7 @@ def test_a_file_is_small_without_traces_of_the_machine_and_can_be_trained(toy_id
 
 
 def check_first_episodes(agent, episodes):
-    """They end as on the card. On another machine, enough of them succeed for the success rate of the card."""
+    """They end as on the card. On another machine, enough of them succeed for the card's success rate."""
     query = AgentQuery(published=agent.card.env, baseline=agent.card.label, device="cpu")
     options = EvalOptions(episodes, agent.card.test_seed, progress=False)
     successes = evaluate_agent(find_agent(query), options).successes

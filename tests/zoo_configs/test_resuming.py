@@ -26,7 +26,7 @@ def test_an_extended_run_equals_a_longer_one(train_tiny, tmp_path, capsys, refus
     """Also from an older checkpoint, if the newest is damaged."""
     runs = extended, damaged, longer = [tmp_path / name / "sacfd" / RUN_NAME for name in "abc"]
     # A schedule depends on the end of the training.
-    constant = ("--preset", "quick", "n_envs:1", "learning_rate:0.001")
+    constant = ("n_envs:1", "learning_rate:0.001", "--preset", "quick")
     assert train_tiny(tmp_path / "a", *constant) == 0
     shutil.copytree(tmp_path / "a", tmp_path / "b")
     older, newest = sorted((damaged / "checkpoints").iterdir())

@@ -8,7 +8,6 @@ import pytest
 from gymnasium import spaces
 from gymnasium.wrappers import FrameStackObservation, TransformObservation
 from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.vec_env import (
     DummyVecEnv,
     SubprocVecEnv,
@@ -17,7 +16,6 @@ from stable_baselines3.common.vec_env import (
     VecNormalize,
     VecTransposeImage,
 )
-from stable_baselines3.sac.policies import MultiInputPolicy as StockPolicy
 
 from sb3_extensions.demonstrations import source
 from sb3_extensions.demonstrations.action_transforms import GaussianExpertNoise
@@ -145,38 +143,23 @@ def test_stacked_frames_of_a_vector_environment(make_learner):
     np.testing.assert_array_equal(episode[1, 0], episode[0, 1])
 
 
-class Camera(gym.ObservationWrapper[Any, Any, Any]):
-    """Add a camera of 8-bit images with the channels last, and a number without a shape."""
+class Camera(gym.ObservationWrapper):
+    """Images of 8 bits with the channels last."""
 
     def __init__(self, env):
         super().__init__(env)
-        parts = {"rgb": spaces.Box(0, 255, (20, 16, 3), np.uint8), "height": spaces.Box(0.0, 1.0, ())}
-        self.observation_space = spaces.Dict(parts)
+        self.observation_space = spaces.Dict({"rgb": spaces.Box(0, 255, (16, 16, 3), np.uint8)})
 
     def observation(self, observation):
-        image = np.zeros((20, 16, 3), np.uint8)
-        image[:16] = (observation["heightmap"][0] * 600).astype(np.uint8)[..., None]
-        image[16:, :, 1] = 9
-        return {"rgb": image, "height": np.float32(observation["heightmap"].max())}
+        image = (observation["heightmap"][0] * 600).astype(np.uint8)
+        return {"rgb": np.stack([image, np.full_like(image, 9), image], axis=-1)}
 
 
-class HeightExtractor(BaseFeaturesExtractor):
-    """Extractor of the number without a shape."""
-
-    def __init__(self, observation_space):
-        super().__init__(observation_space, 1)
-
-    def forward(self, observations):
-        return observations["height"].reshape(-1, 1)
-
-
-def test_demonstrations_with_a_camera_and_a_number_without_a_shape(make_learner):
-    env = DummyVecEnv([lambda: Camera(make_env())])
-    model = make_learner(env, policy=StockPolicy, policy_kwargs={"features_extractor_class": HeightExtractor})
+def test_demonstrations_with_a_camera(make_learner):
+    model = make_learner(DummyVecEnv([lambda: Camera(make_env())]))
     stored = demonstrated(model, "rgb")
-    assert isinstance(model.get_env(), VecTransposeImage)
-    assert stored.shape[1:] == (3, 20, 16)
-    assert (stored[:-1, 1, 16:] == 9).all() and not stored[:, 0, 16:].any()
+    assert isinstance(model.get_env(), VecTransposeImage) and stored.shape[1:] == (3, 16, 16)
+    assert (stored[:-1, 1] == 9).all() and stored[:, 0].any()
 
 
 @pytest.mark.parametrize("episodes, expected", [(6, [4, 2]), (1, [1, 0]), (5, [3, 2])])

@@ -171,20 +171,6 @@ def test_filters_follow_the_weights(training):
         assert th.equal(other(image), expected)
 
 
-def test_expanded_filters_can_be_nested_trained_and_interrupted():
-    network = encoder_of(C4)
-    layers = [layer for layer in network.modules() if isinstance(layer, EquivariantConv2d)]
-    with expanded_filters(network, network):
-        outer = layers[0].expanded
-        with pytest.raises(KeyError), expanded_filters(network):
-            assert layers[0].expanded is not outer
-            raise KeyError
-        assert layers[0].expanded is outer
-        network(th.rand(2, 2, 16, 16)).sum().backward()
-    assert all(layer.expanded is None for layer in layers)
-    assert all(parameter.grad is not None for parameter in network.parameters())
-
-
 @pytest.mark.parametrize("scope", [False, True])
 def test_encoder_is_one_graph(scope):
     """The compiler finds no operation that it has to leave to Python."""
