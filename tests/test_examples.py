@@ -63,8 +63,6 @@ def test_examples_of_components_pass_the_check(command):
     assert result.returncode == 0, result.stdout + result.stderr
 
 
-# LeRobot
-
 EVALUATE = """--env.type=bulletarm --env.discover_packages_path=lerobot_env_bulletarm --env.object_poses=true
 --env.task=CloseLoopBlockReaching-v0 --env.cameras={"front":{"size":48}} --env.env_kwargs={"obs_size":32}
 --policy.type=scripted --policy.discover_packages_path=lerobot_scripted --policy.device=cpu
@@ -110,8 +108,6 @@ def test_observations_have_the_configured_features(env_id, monkeypatch):
     envs.step(np.stack(envs.call("expert_action")))
     envs.close()
 
-
-# Tutorials
 
 MAX_LINES = 15
 """Maximum number of lines of a code cell."""

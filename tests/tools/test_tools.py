@@ -63,17 +63,6 @@ def test_speed_is_compared_with_a_reference(tmp_path, monkeypatch):
     assert float(row["times_reference"]) > 0 and "measure_speed.py --env" in row["command"]
 
 
-@pytest.mark.slow
-def test_an_update_has_parts(tmp_path, monkeypatch):
-    data = tmp_path / "updates.csv"
-    words = ["--baseline", "equi_sacfd", "--env", REACHING, "--seconds", "0.3", "--data", str(data)]
-    run(monkeypatch, "measure_updates.py", *words)
-    [row] = DataFile(data, ("baseline",)).read()
-    shares = [float(row[part]) for part in ("gradients_of_convolutions", "convolutions", "pooling", "rest")]
-    assert sum(shares) == pytest.approx(1.0, abs=0.01)
-    assert float(row["update_ms"]) > 0 and float(row["equivariant_over_plain"]) > 0
-
-
 def test_experts_are_measured_on_the_grid(tmp_path, monkeypatch):
     data = tmp_path / "experts.csv"
     kwargs = ["--env-kwargs", "obs_size:64", "num_objects:2", "--data", str(data)]

@@ -31,9 +31,6 @@ EXAMPLES = sorted((sweeps.ROOT / "examples" / "benchmarks").glob("*.yml"))
 pytestmark = pytest.mark.usefixtures("toys")
 
 
-# ---- Experiments
-
-
 def test_files_of_the_examples_are_plans():
     for path in EXAMPLES:
         plan = read_plan(str(path))
@@ -102,9 +99,6 @@ def test_a_folder_that_is_locked_or_has_other_runs_is_refused(bench, tmp_path, c
     assert str(tmp_path / "out") in capsys.readouterr().err
 
 
-# ---- Status
-
-
 def test_the_overview_is_read_from_the_folders(tmp_path, capsys):
     jobs = jobs_of(seeds=3)
     running, failed, _ = (tmp_path / job.folder for job in jobs)
@@ -150,9 +144,6 @@ def test_the_time_of_a_killed_process_counts_up_to_the_checkpoint(tmp_path):
     (tmp_path / "state.yml").write_text(yaml.safe_dump({**how._asdict(), "state": how.state.value}))
     with run_lock(tmp_path, checkpoint):
         assert run_status(tmp_path).seconds == pytest.approx(105.0)
-
-
-# ---- Runs on this machine
 
 
 def state_of(folder):
@@ -216,8 +207,6 @@ def test_a_killed_benchmark_loses_nothing(seed, kills, how, bench, tmp_path):
         train_experiment(job.experiment, job.seed, job.device, options=job.options, at=whole)
         assert same(out / job.folder, whole)
 
-
-# ---- Runs on a Ray cluster
 
 NODE = {"num_cpus": 1, "object_store_memory": 80 * 2**20, "memory": 4 * 10**9}
 SLOW = {"tasks": ["CloseLoopToySlow", "CloseLoopToyFailing"], "seeds": 1, "baselines": ["sacfd", "sac"]}

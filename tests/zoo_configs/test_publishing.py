@@ -40,9 +40,6 @@ UNLIKELY = 1e-4
 every_agent = pytest.mark.parametrize("agent", AGENTS.values(), ids=AGENTS)
 
 
-# ---- Small files
-
-
 def test_weights_that_are_too_large_for_float16_are_not_rounded():
     layer = nn.Linear(2, 2)
     assert stored_weights(layer, half=True)["weight"].dtype == th.float16
@@ -101,9 +98,6 @@ def test_a_file_is_small_without_traces_of_the_machine_and_can_be_trained(toy_id
     assert np.isfinite(after).all() and not np.array_equal(before, after)
 
 
-# ---- Agents of the package
-
-
 def check_first_episodes(agent, episodes):
     """They end as on the card. On another machine, enough of them succeed for the card's success rate."""
     query = AgentQuery(published=agent.card.env, baseline=agent.card.label, device="cpu")
@@ -142,9 +136,6 @@ def test_first_episodes_end_as_on_the_card(name):
 @every_agent
 def test_success_is_that_of_the_card(agent):
     check_first_episodes(agent, agent.card.episodes)
-
-
-# ---- Push
 
 
 class Hub:

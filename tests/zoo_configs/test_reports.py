@@ -11,11 +11,9 @@ import gymnasium
 import imageio.v3 as iio
 import numpy as np
 import pytest
-import torch
 from gymnasium import spaces
 from PIL import Image
 
-from bulletarm_gym.check.machine import describe_processor
 from zoo_configs import provenance
 from zoo_configs.cli import main
 from zoo_configs.commands.train import build_parser
@@ -32,9 +30,6 @@ PICKING, REACHING = "BulletArm/CloseLoopBlockPicking-v0", "BulletArm/CloseLoopBl
 SMALL = {"obs_size": 48}
 OVERRIDES = {"expert_episodes": 7, "replay_buffer_kwargs": {"expert_fraction": 0.4}, "env_kwargs": SMALL}
 GOOD = [[False] * 4, [True, True, False, True], [True, True, True, False]]
-
-
-# ---- Lists
 
 
 @pytest.mark.parametrize(
@@ -67,9 +62,6 @@ def test_help_loads_neither_pytorch_nor_the_engine(capsys):
     assert all(name in printed for name in ("train", "enjoy", "record", "plot", "list"))
 
 
-# ---- Curves
-
-
 def test_a_mean_curve_has_at_each_step_the_runs_that_were_evaluated():
     error, ones = np.full(3, 0.1), np.ones(3, dtype=np.int64)
     long = LearningCurve(np.array([5, 10, 15]), np.array([0.0, 0.5, 1.0]), error, "success", ones)
@@ -87,9 +79,6 @@ def test_plot_draws_values_of_expert_and_online_transitions(trained, tmp_path, r
     shutil.copytree(trained, logs := tmp_path / "logs")
     next(logs.glob("sacfd/*/training.csv")).unlink()
     assert "logged" in refuse("plot", "-f", str(logs), "--training")
-
-
-# ---- Results
 
 
 def add_run(folder, env_id, baseline, seed, successes, **changes):
@@ -191,9 +180,6 @@ def test_returns_and_failed_runs_are_in_the_table(tmp_path):
     assert experiment.results[0].curve.measure == "evaluation return"
 
 
-# ---- Videos, files, seeds, provenance
-
-
 def test_record_shows_agent_and_expert(run_folder, tmp_path):
     video = tmp_path / "agent.gif"
     assert main(["record", str(run_folder), "-n", "2", "--device", "cpu", "-o", str(video)]) == 0
@@ -218,14 +204,6 @@ def test_images_have_fixed_scales():
     generic.observation_space = spaces.Box(0.0, 0.4, (1, 8, 8))
     (image,) = observed_images(np.full((1, 8, 8), 0.1, np.float32), generic)
     assert image == pytest.approx(np.full((8, 8), 0.25))
-
-
-def test_a_gpu_is_part_of_the_hardware(monkeypatch):
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
-    monkeypatch.setattr(torch.cuda, "get_device_name", lambda device: f"GPU {device.index or 0}")
-    processor = describe_processor()
-    machines = [provenance.describe_hardware(device) for device in ("cpu", "cuda:1")]
-    assert machines == [processor, f"{processor}, GPU 1"]
 
 
 def test_the_commit_is_that_of_the_running_code(tmp_path, monkeypatch):

@@ -19,9 +19,6 @@ RUN_NAME = "BulletArm-CloseLoopToy-v0_1"
 STACKING = "BulletArm/OpenLoopBlockStacking-v0"
 
 
-# ---- Resuming
-
-
 def test_an_extended_run_equals_a_longer_one(train_tiny, tmp_path, capsys, refuse):
     """Also from an older checkpoint, if the newest is damaged."""
     runs = extended, damaged, longer = [tmp_path / name / "sacfd" / RUN_NAME for name in "abc"]
@@ -87,9 +84,6 @@ def test_a_run_without_a_model_is_skipped(trained, toy_id, tmp_path, capsys, ref
     assert line.startswith("skipped: ") and str(garbled) in line
     shutil.rmtree(garbled)
     assert "has no model" in refuse("enjoy", str(killed))
-
-
-# ---- Models
 
 
 def test_a_damaged_model_and_other_observations_are_named(run_folder, tmp_path, refuse):

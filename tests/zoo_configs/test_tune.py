@@ -50,9 +50,6 @@ def states(folder):
     return [trial.state.name for trial in trials_of(folder, NAME)]
 
 
-# ---- Studies
-
-
 def test_a_study_begins_with_the_baseline_and_repeats_itself(tune, toy_id, tmp_path, capsys):
     assert tune("--n-trials", "1") == 0
     assert "trial" not in capsys.readouterr().err
@@ -144,9 +141,6 @@ def test_a_study_of_another_program_is_refused(begun, tune, tmp_path, capsys):
         foreign.set_user_attr("owner", "me")
     assert tune("--n-trials", "1", "--storage", database, "--study-name", "mine") == 2
     assert "--study-name" in capsys.readouterr().err
-
-
-# ---- Search spaces
 
 
 def test_an_algorithm_has_the_hyperparameters_of_its_space():

@@ -17,8 +17,6 @@ C4, C8, C16 = (Group("cyclic", n) for n in (4, 8, 16))
 D4, D8 = (Group("dihedral", n) for n in (4, 8))
 
 
-# Filters.
-
 SIZES = range(3, 9)
 FIELDS = 8
 # escnn 1.0.11 with PyTorch 2.13: R2Conv(trivial -> 8 regular fields, bias=False), default initialisation and

@@ -99,8 +99,6 @@ def test_policy_acts_on_the_centre_of_an_image(make_toy, make_learner):
     np.testing.assert_array_equal(model.predict(observation, deterministic=True)[0], trained_on)
 
 
-# Rotations.
-
 SIZE = 17
 SHAPES = {"heightmap": (1, SIZE, SIZE), "points": (4, 3), "in_hand": (1, 8, 8), "holding": (1,)}
 LEVELS = {"labels": (1, SIZE, SIZE), "rgb": (3, SIZE, SIZE)}

@@ -162,9 +162,6 @@ def test_actions_without_a_vector_or_of_one_alone(sequence):
     assert policy.critic(sample(), th.rand(4, len(sequence)))[0].shape == (4, 1)
 
 
-# The average of an actor's weights.
-
-
 def weights(module):
     return th.nn.utils.parameters_to_vector(module.parameters()).detach().numpy().copy()
 

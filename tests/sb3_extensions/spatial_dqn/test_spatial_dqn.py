@@ -222,9 +222,6 @@ def test_augmented_samples_are_trained_on(make_model):
     assert losses[0] != losses[1]
 
 
-# Actions and demonstrations on the grid.
-
-
 def test_half_of_each_batch_are_demonstrations(make_model):
     """If there are as many as half a batch."""
     model = make_model(batch_size=8, learning_starts=100, expert_episodes=3)
