@@ -25,7 +25,7 @@ import importlib, pkgutil, gymnasium, bulletarm_gym
 for module in pkgutil.walk_packages(bulletarm_gym.__path__, "bulletarm_gym."):
     if not module.name.endswith("__main__"):
         importlib.import_module(module.name)
-for name in ("CloseLoopBlockPicking", "OpenLoopBlockStacking"):
+for name in ("CloseLoopBlockPicking", "CloseLoopDrawerOpening"):
     env = gymnasium.make(f"BulletArm/{name}-v0", obs_size=32)
     observation, info = env.reset(seed=0)
     observation, *_ = env.step(env.unwrapped.expert_action())
