@@ -4,7 +4,6 @@ import ast
 import graphlib
 import subprocess
 import sys
-from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -49,11 +48,11 @@ ENGINE = {"pybullet", "pybullet_utils"}
 
 
 @cache
-def _tree(path: Path) -> ast.Module:
+def _tree(path):
     return ast.parse(path.read_text(encoding="utf-8"))
 
 
-def _imported(path: Path) -> Iterator[str]:
+def _imported(path):
     """Dotted names of everything that a file imports, relative imports resolved."""
     folder = path.relative_to(ROOT).parent.parts
     for node in ast.walk(_tree(path)):
@@ -65,7 +64,7 @@ def _imported(path: Path) -> Iterator[str]:
             yield from (f"{module}.{alias.name}" for alias in node.names)
 
 
-def _own(path: Path) -> set[str]:
+def _own(path):
     """Modules and subpackages of ``bulletarm_gym`` that a file imports; other names are of ``__init__``."""
     names = {name.split(".")[1] for name in _imported(path) if name.startswith("bulletarm_gym.")}
     return {name if name in LEVEL else "__init__" for name in names}
@@ -99,6 +98,13 @@ def test_only_simulation_uses_the_engine():
             attributes = {node.attr for node in ast.walk(_tree(path)) if isinstance(node, ast.Attribute)}
             assert not {name.split(".")[0] for name in _imported(path)} & ENGINE, path
             assert "client" not in attributes, f"{path} uses PyBullet's client"
+
+
+def test_learners_import_the_environments_for_a_file_of_episodes_only():
+    """In a function."""
+    for path in (ROOT / "sb3_extensions").rglob("*.py"):
+        imports = [node for node in _tree(path).body if isinstance(node, ast.Import | ast.ImportFrom)]
+        assert "bulletarm_gym" not in "".join(map(ast.unparse, imports)), path
 
 
 def test_importing_the_package_is_light():

@@ -121,7 +121,7 @@ def test_script_in_an_environment_of_its_own(script, tmp_path):
     _run(script, str(python), tmp_path)
 
 
-def _declare_operators(python: Path) -> None:
+def _declare_operators(python):
     """Declare the operators that PyPI's torchvision, built for CUDA, lacks with PyTorch for CPUs."""
     if subprocess.run([python, "-c", "import torchvision"], capture_output=True).returncode:
         where = [python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"]
@@ -129,7 +129,7 @@ def _declare_operators(python: Path) -> None:
         (Path(folder) / "sitecustomize.py").write_text(OPERATORS, encoding="utf-8")
 
 
-def _run(script: str, python: str, folder: Path) -> None:
+def _run(script, python, folder):
     result = subprocess.run(
         [python, SCRIPTS / f"{script}.py"],
         cwd=folder,

@@ -1,7 +1,6 @@
 """A scripted policy for LeRobot that moves the gripper to the first object, for tests of the plug-in."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from lerobot.configs.policies import PreTrainedConfig
@@ -20,13 +19,13 @@ class ScriptedConfig(PreTrainedConfig):
 
     observation_delta_indices = action_delta_indices = reward_delta_indices = None
 
-    def get_optimizer_preset(self) -> Any:
+    def get_optimizer_preset(self):
         raise NotImplementedError
 
-    def get_scheduler_preset(self) -> Any:
+    def get_scheduler_preset(self):
         raise NotImplementedError
 
-    def validate_features(self) -> None:
+    def validate_features(self):
         pass
 
 
@@ -36,11 +35,11 @@ class ScriptedPolicy(PreTrainedPolicy):
     config_class = ScriptedConfig
     name = "scripted"
 
-    def __init__(self, config: ScriptedConfig, **kwargs: Any) -> None:
+    def __init__(self, config, **kwargs):
         super().__init__(config)
         self.unused = torch.nn.Parameter(torch.zeros(1))
 
-    def select_action(self, batch: dict[str, Any], **kwargs: Any) -> torch.Tensor:
+    def select_action(self, batch, **kwargs):
         state, objects = batch["observation.state"], batch["observation.environment_state"]
         images = batch["observation.images.front"]
         assert images.shape[1:] == (3, 48, 48) and 0.2 < float(images.max()) <= 1.0
@@ -50,23 +49,20 @@ class ScriptedPolicy(PreTrainedPolicy):
         action[:, 1:4] = ((objects[:, 1:4] - state[:, 1:4]) / STEP).clamp(-1.0, 1.0)
         return action
 
-    def reset(self) -> None:
+    def reset(self):
         pass
 
-    def get_optim_params(self) -> Any:
+    def get_optim_params(self):
         return self.parameters()
 
-    def forward(self, batch: dict[str, Any]) -> Any:
+    def forward(self, batch):
         raise NotImplementedError
 
-    def predict_action_chunk(self, batch: dict[str, Any], **kwargs: Any) -> torch.Tensor:
+    def predict_action_chunk(self, batch, **kwargs):
         return self.select_action(batch)[:, None]
 
 
-def make_scripted_pre_post_processors(config: ScriptedConfig, dataset_stats: Any = None) -> tuple[Any, Any]:
+def make_scripted_pre_post_processors(config, dataset_stats=None):
     """Return processors that change nothing."""
-    before: Any = PolicyProcessorPipeline(steps=[])
-    after: Any = PolicyProcessorPipeline(
-        steps=[], to_transition=policy_action_to_transition, to_output=transition_to_policy_action
-    )
-    return before, after
+    convert = {"to_transition": policy_action_to_transition, "to_output": transition_to_policy_action}
+    return PolicyProcessorPipeline(steps=[]), PolicyProcessorPipeline(steps=[], **convert)

@@ -5,7 +5,6 @@ picking and placing, open loop.
 import copy
 import functools
 import math
-from collections.abc import Callable
 from typing import Any, ClassVar
 
 import gymnasium as gym
@@ -13,7 +12,6 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 from stable_baselines3.common.env_util import make_vec_env
-from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_extensions.ferm import FERM
 from sb3_extensions.sacfd import SACfD
@@ -29,11 +27,11 @@ class Restorable(gym.Env[dict[str, np.ndarray], np.ndarray]):
 
     STATE: tuple[str, ...] = ()
 
-    def get_state(self) -> dict[str, Any]:
+    def get_state(self):
         state = {name: copy.copy(getattr(self, name)) for name in self.STATE}
         return {"rng": self.np_random.bit_generator.state, **state}
 
-    def set_state(self, state: dict[str, Any]) -> None:
+    def set_state(self, state):
         self.np_random.bit_generator.state = state["rng"]
         for name in self.STATE:
             setattr(self, name, copy.copy(state[name]))
@@ -52,14 +50,8 @@ class ToyReach(Restorable):
     STATE = ("episodes", "steps", "offset")
 
     def __init__(
-        self,
-        max_steps: int = 10,
-        expert_failures: int = 0,
-        render_mode: str | None = None,
-        size: int = 16,
-        in_hand_size: int = 0,
-        observation: str = "image",
-    ) -> None:
+        self, max_steps=10, expert_failures=0, render_mode=None, size=16, in_hand_size=0, observation="image"
+    ):
         self.render_mode, self.size, self.in_hand_size = render_mode, size, in_hand_size
         self.max_steps, self.expert_failures = max_steps, expert_failures
         parts = {
@@ -74,24 +66,24 @@ class ToyReach(Restorable):
         self.episodes = self.steps = 0
         self.offset = np.zeros(2)  # from the point to the target, m
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+    def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
         self.episodes += 1
         self.steps = 0
         self.offset = self.np_random.uniform(-0.9, 0.9, size=2)
         return self._observation(), self._info()
 
-    def step(self, action: np.ndarray) -> Any:
+    def step(self, action):
         self.offset = np.clip(self.offset - STEP * np.clip(action[1:3], -1, 1), -1, 1)
         self.steps += 1
         success = self._info()["is_success"]
         truncated = not success and self.steps >= self.max_steps
         return self._observation(), float(success), success, truncated, self._info()
 
-    def _info(self) -> dict[str, Any]:
+    def _info(self):
         return {"is_success": bool(np.abs(self.offset).max() < REACH)}
 
-    def _observation(self) -> dict[str, np.ndarray]:
+    def _observation(self):
         x, y = np.meshgrid(*[np.linspace(-1, 1, self.size)] * 2, indexing="ij")
         squared_distance = (x - self.offset[0]) ** 2 + (y - self.offset[1]) ** 2
         heightmap = MAX_HEIGHT * np.exp(-squared_distance / 0.1)[None].astype(np.float32)
@@ -104,7 +96,7 @@ class ToyReach(Restorable):
         }
         return {name: part for name, part in parts.items() if name in self.observation_space.spaces}
 
-    def expert_action(self) -> np.ndarray:
+    def expert_action(self):
         action = np.zeros(5, dtype=np.float32)
         if self.episodes > self.expert_failures:
             action[1:3] = np.clip(self.offset / STEP, -1, 1)
@@ -118,7 +110,7 @@ class ToyPicking(Restorable):
     A place may have any yaw. Images show 0.4 m. Actions are from ``low`` to ``high``.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"]}
+    metadata = ToyReach.metadata
     STATE = ("bar", "pad", "yaw", "in_hand", "holding", "steps")
     BAR, PAD = (0.03, 0.10, 0.05), (0.08, 0.08, 0.02)  # width, length, height, m
     AT_BAR, AT_PAD = 0.02, 0.03  # maximum distance from their centres, m
@@ -131,14 +123,14 @@ class ToyPicking(Restorable):
 
     def __init__(
         self,
-        max_steps: int = 4,
-        size: int = 32,
-        in_hand_size: int = 12,
-        action_sequence: str = "pxyr",
-        low: float = -1.0,
-        high: float = 1.0,
-        render_mode: str | None = None,
-    ) -> None:
+        max_steps=4,
+        size=32,
+        in_hand_size=12,
+        action_sequence="pxyr",
+        low=-1.0,
+        high=1.0,
+        render_mode=None,
+    ):
         self.render_mode = render_mode
         angles = iter(("theta", "phi", "psi"))
         self.names = [next(angles) if character == "r" else character for character in action_sequence]
@@ -152,11 +144,9 @@ class ToyPicking(Restorable):
                 "holding": spaces.Box(0.0, 1.0, (1,), np.float32),
             }
         )
-        self.bar, self.pad, self.yaw = np.zeros(2), np.zeros(2), 0.0
         self.in_hand = np.zeros(in_hand, np.float32)
-        self.holding, self.steps = False, 0
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+    def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
         self.holding, self.steps = False, 0
         self.in_hand = np.zeros_like(self.in_hand)
@@ -166,19 +156,18 @@ class ToyPicking(Restorable):
         self.yaw = float(self.np_random.uniform(0, math.pi))
         return self._observation(), {"is_success": False}
 
-    def _from_units(self, numbers: np.ndarray, inverse: bool = False) -> np.ndarray:
+    def _from_units(self, numbers, inverse=False):
         """Convert from the units of the action space to m and rad, or back."""
         low, high = self.action_space.low, self.action_space.high
         a, b = np.transpose([self.RANGES[name] for name in self.names])
         if inverse:
             return (low + (numbers - a) / (b - a) * (high - low)).astype(np.float32)
-        result: np.ndarray = a + (np.clip(numbers, low, high) - low) / (high - low) * (b - a)
-        return result
+        return a + (np.clip(numbers, low, high) - low) / (high - low) * (b - a)
 
-    def decode_action(self, action: np.ndarray) -> dict[str, float]:
+    def decode_action(self, action):
         return dict(zip(self.names, self._from_units(action).tolist(), strict=True))
 
-    def step(self, action: np.ndarray) -> Any:
+    def step(self, action):
         self.steps += 1
         to = self.decode_action(action)
         success, point = False, np.array([to["x"], to["y"]])
@@ -192,13 +181,13 @@ class ToyPicking(Restorable):
         truncated = not success and self.steps >= self.max_steps
         return self._observation(), float(success), success, truncated, {"is_success": success}
 
-    def _grips(self, point: np.ndarray, to: dict[str, float]) -> bool:
+    def _grips(self, point, to):
         turn = (to.get("theta", self.yaw) - self.yaw + math.pi / 2) % math.pi - math.pi / 2
         tilt = max(abs(to.get("phi", 0.0)), abs(to.get("psi", 0.0)))
         near = np.linalg.norm(point - self.bar) < self.AT_BAR and to.get("z", 0.0) < self.BAR[2]
         return bool(near and abs(turn) < self.TURNED and tilt < self.TILTED)
 
-    def _look(self, middle: Any, yaw: float, shape: tuple[int, ...]) -> np.ndarray:
+    def _look(self, middle, yaw, shape):
         """Return heights (m) around a point in a frame rotated by a yaw."""
         line = (np.arange(shape[-1]) - (shape[-1] - 1) / 2) * 0.4 / self.size
         x, y = np.meshgrid(line, line, indexing="ij")
@@ -214,14 +203,14 @@ class ToyPicking(Restorable):
             heights[(np.abs(across) < width / 2) & (np.abs(along) < length / 2)] = height
         return np.broadcast_to(heights, shape).copy()
 
-    def _observation(self) -> dict[str, np.ndarray]:
+    def _observation(self):
         return {
             "heightmap": self._look(np.full(2, 0.2), 0.0, (1, self.size, self.size)),
             "in_hand": self.in_hand.copy(),
             "holding": np.array([self.holding], dtype=np.float32),
         }
 
-    def expert_action(self) -> np.ndarray:
+    def expert_action(self):
         x, y = self.pad if self.holding else self.bar
         to = {"p": 1.0 if self.holding else -1.0, "x": x, "y": y, "z": 0.025, "phi": 0.0, "psi": 0.0}
         to["theta"] = 0.0 if self.holding else self.yaw
@@ -231,7 +220,7 @@ class ToyPicking(Restorable):
 class WithoutTermination(gym.Wrapper):
     """Truncates episodes that would terminate, so that all targets bootstrap if timeouts do."""
 
-    def step(self, action: np.ndarray) -> Any:
+    def step(self, action):
         observation, reward, terminated, truncated, info = self.env.step(action)
         return observation, reward, False, terminated or truncated, info
 
@@ -240,47 +229,37 @@ if ENV_ID not in gym.registry:
     gym.register(ENV_ID, entry_point=ToyReach)
     gym.register(PICKING_ID, entry_point=ToyPicking)
 
-MakeEnv = Callable[..., VecEnv]
-MakeLearner = Callable[..., SACfD]
 # Encoders and heads small enough for tests that learn.
-SMALL: dict[str, dict[str, Any]] = {
+SMALL = {
     "MultiInputPolicy": {"features_extractor_kwargs": {"channels": [4, 8, 8]}, "net_arch": [16]},
     "EquivariantPolicy": {"features_extractor_kwargs": {"n": 4, "channels": [2, 4, 8]}},
     "StatePolicy": {"features_extractor_kwargs": {"layers": [32, 32]}, "net_arch": {"pi": [], "qf": [32]}},
 }
 
 
-def make_envs(
-    env_id: str, n_envs: int = 1, seed: int | None = 0, endless: bool = False, **kwargs: Any
-) -> VecEnv:
+def make_envs(env_id, n_envs=1, seed=0, endless=False, **kwargs):
     wrapper = WithoutTermination if endless else None
     return make_vec_env(env_id, n_envs, seed, env_kwargs=kwargs, wrapper_class=wrapper)
 
 
 @pytest.fixture(scope="session")
-def make_toy() -> MakeEnv:
+def make_toy():
     """Makes a vector environment of reaching: ``make_toy(n_envs, seed, endless, **env_kwargs)``."""
     return functools.partial(make_envs, ENV_ID)
 
 
 @pytest.fixture(scope="session")
-def make_picking() -> MakeEnv:
+def make_picking():
     """Makes a vector environment of picking and placing: ``make_picking(n_envs, seed, **env_kwargs)``."""
     return functools.partial(make_envs, PICKING_ID)
 
 
 @pytest.fixture(scope="session")
-def make_learner(make_toy: MakeEnv) -> MakeLearner:
+def make_learner(make_toy):
     """Makes a small learner of the toy task: ``make_learner(env, learner, policy, **kwargs)``."""
 
-    def make(
-        env: Any = None,
-        learner: type[SACfD] = SACfD,
-        policy: Any = "MultiInputPolicy",
-        policy_kwargs: dict[str, Any] | None = None,
-        **kwargs: Any,
-    ) -> SACfD:
-        settings: dict[str, Any] = {"expert_episodes": 5, "batch_size": 16, "buffer_size": 500, "seed": 0}
+    def make(env=None, learner=SACfD, policy="MultiInputPolicy", policy_kwargs=None, **kwargs):
+        settings = {"expert_episodes": 5, "batch_size": 16, "buffer_size": 500, "seed": 0}
         if learner is FERM:
             settings |= {"augmentation": {"drq": {"pad": 1}}, "contrastive_steps": 3}
         network = {**SMALL.get(policy, {"net_arch": [16]}), **(policy_kwargs or {})}

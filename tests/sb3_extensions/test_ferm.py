@@ -11,7 +11,7 @@ from sb3_extensions.replay.augmentation import RAD
 def make_model(make_toy, make_learner):
     """Makes FERM with random crops of 16 pixels: ``make_model(in_hand_size, **kwargs)``."""
 
-    def make(in_hand_size: int = 0, **kwargs) -> FERM:
+    def make(in_hand_size=0, **kwargs):
         env = make_toy(size=18, in_hand_size=in_hand_size)
         model = make_learner(env, FERM, augmentation=RAD(16), **kwargs)
         assert isinstance(model, FERM)
@@ -20,17 +20,17 @@ def make_model(make_toy, make_learner):
     return make
 
 
-def changed(before: dict[str, th.Tensor], after: dict[str, th.Tensor]) -> set[str]:
+def changed(before, after):
     """Return the parts of the policy, such as ``critic.features_extractor.encoder``, that differ."""
     names = {name for name, value in after.items() if not th.equal(value, before[name])}
     return {".".join(name.split(".")[: 3 if "features_extractor" in name else 1]) for name in names}
 
 
-def state(model: FERM) -> dict[str, th.Tensor]:
+def state(model):
     return {name: value.clone() for name, value in model.policy.state_dict().items()}
 
 
-def steps(optimizer: th.optim.Optimizer) -> set[int]:
+def steps(optimizer):
     """Return the numbers of steps of the parameters of an Adam optimizer."""
     parameters = [p for group in optimizer.param_groups for p in group["params"]]
     assert len(set(parameters)) == len(parameters)

@@ -34,15 +34,12 @@ def test_environments_by_id_and_normalised_environments(make_toy, make_learner):
 @pytest.mark.parametrize(
     ("learner", "policy", "kwargs"),
     [
-        (SACfD, "MultiInputPolicy", {"augmentation": {"rad": {"size": 15}}}),
-        (SACfD, "StatePolicy", {}),
         (TQCfD, "StatePolicy", {}),
         (
             SACfD,
             "EquivariantPolicy",
             {"augmentation": "rotation", "replay_buffer_kwargs": {"sampler": "prioritized"}},
         ),
-        (TQCfD, "EquivariantPolicy", {"augmentation": {"drq": {"K": 3, "M": 2, "pad": 1}}}),
         (FERM, "MultiInputPolicy", {"contrastive_steps": 50}),
     ],
 )
@@ -90,7 +87,6 @@ def test_at_most_twelve_additions_and_all_off():
         ({"pretrain_steps": 5, "expert_episodes": 0}, "pretrain_steps"),
         ({"replay_buffer_class": ReplayBuffer}, "replay_buffer_class"),
         ({"replay_buffer_kwargs": {"gamma": 0.9}}, "gamma"),
-        ({"replay_buffer_kwargs": {"n_steps": 3}}, "n_steps"),
         ({"replay_buffer_kwargs": {"image_dtype": "uint16"}}, "image_dtype='uint16'.*quantise='uint8'"),
         ({"policy_kwargs": {"features_extractor_kwargs": {"quantise": None}}}, "quantise=None"),
         ({"pretrain_steps": 5, "bc_weight": 0}, "critic_warmup_steps"),
@@ -100,10 +96,8 @@ def test_at_most_twelve_additions_and_all_off():
         ({"policy_kwargs": {"actor_tau": 1.5}}, "actor_tau .* got 1.5"),
         ({"augmentation": {"rad": {"size": 16}}}, "16 x 16"),
         ({"train_freq": 0}, "train_freq .* n_envs=1"),
-        ({"learner": TQCfD, "top_quantiles_to_drop_per_net": -1}, "top_quantiles_to_drop_per_net"),
         ({"learner": TQCfD, "top_quantiles_to_drop_per_net": 25}, "top_quantiles_to_drop_per_net"),
         ({"learner": FERM, "augmentation": None}, "augmentation .* got None"),
-        ({"learner": FERM, "contrastive_steps": -1}, "contrastive_steps .* got -1"),
         ({"learner": FERM, "encoder_tau": 0.0}, "encoder_tau .* got 0.0"),
         ({"learner": FERM, "policy": MultiInputPolicy}, "policy must be FERM's MultiInputPolicy"),
         ({"learner": FERM, "policy_kwargs": {"share_features_extractor": True}}, "share_features_extractor"),
@@ -115,34 +109,29 @@ def test_invalid_arguments_are_rejected(kwargs, named, make_learner):
         make_learner(**kwargs)
 
 
-@pytest.mark.parametrize("name", ["CnnPolicy", "unknown"])
-@pytest.mark.parametrize("algorithm", [SACfD, TQCfD, FERM, SpatialDQN, SDQfD])
-def test_an_unknown_policy_is_refused_with_the_known_ones(algorithm, name, make_toy):
-    with pytest.raises(ValueError, match=f"policy .*{', '.join(algorithm.policy_aliases)}, got '{name}'"):
-        algorithm(name, make_toy())
+@pytest.mark.parametrize("algorithm", [SACfD, TQCfD, FERM, SDQfD])
+def test_an_unknown_policy_is_refused_with_the_known_ones(algorithm, make_toy):
+    with pytest.raises(ValueError, match=f"policy .*{', '.join(algorithm.policy_aliases)}, got 'CnnPolicy'"):
+        algorithm("CnnPolicy", make_toy())
 
 
-def test_episodic_training_with_two_environments_is_refused(make_toy, make_learner, tmp_path):
+def test_unfitting_environments_are_refused(monkeypatch, make_toy, make_learner, tmp_path):
     with pytest.raises(ValueError, match=r"train_freq .* n_envs=2"):
         make_learner(make_toy(2), train_freq=(1, "episode"))
     make_learner(train_freq=(1, "episode")).save(tmp_path / "model")
     with pytest.raises(ValueError, match=r"got \(1, 'episode'\) with n_envs=2"):
         SACfD.load(tmp_path / "model", env=make_toy(2))
-
-
-def test_an_equivariant_actor_is_refused_in_open_loop(monkeypatch, make_toy, make_learner):
-    env = make_toy()
+    env = make_toy()  # in open loop
     monkeypatch.setattr(type(env.envs[0].unwrapped), "action_ranges", {"theta": (0.0, 3.1)}, raising=False)
     with pytest.raises(ValueError, match=r"policy .*got EquivariantPolicy"):
         make_learner(env, policy="EquivariantPolicy")
-    make_learner(env)
 
 
 SMALL_EQUIVARIANT = {"features_extractor_kwargs": {"n": 4, "channels": [4, 4, 4, 4, 4]}}
 WIDE = [[0.3, 0.6], [-0.15, 0.15], [0.0, 1.0]]
 
 
-def make_sacfd(env, augmentation=None, **policy_kwargs) -> SACfD:
+def make_sacfd(env, augmentation=None, **policy_kwargs):
     policy_kwargs = {**SMALL_EQUIVARIANT, **policy_kwargs}
     kwargs = {"buffer_size": 100, "policy_kwargs": policy_kwargs, "augmentation": augmentation}
     return SACfD("EquivariantPolicy", env, **kwargs)
@@ -172,7 +161,6 @@ def test_policy_and_rotation_adopt_the_action_sequence_of_the_environment():
 def test_grid_adopts_the_action_ranges():
     codec = make_codec(action_sequence="xypr", workspace=WIDE, half_rotation=False)
     assert codec.action_sequence == "xypr"
-    assert codec.theta_bounds == (-math.pi, math.pi)
-    assert codec.workspace_size == pytest.approx(0.3)
+    assert codec.theta_bounds == (-math.pi, math.pi) and codec.workspace_size == pytest.approx(0.3)
     assert make_codec().theta_bounds == (0.0, math.pi)
     assert make_codec({"workspace_size": 0.5}, workspace=WIDE).workspace_size == 0.5

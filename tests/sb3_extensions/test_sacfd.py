@@ -1,7 +1,5 @@
 """SACfD: losses, imitation and pretraining, compared with slow references."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 import torch as th
@@ -15,17 +13,17 @@ from sb3_extensions.sacfd.losses import imitation_loss, self_imitation_weights
 from sb3_extensions.tqcfd import TQCfD
 
 
-def parameters(model) -> dict[str, np.ndarray]:
+def parameters(model):
     module = getattr(model, "policy", model)
     return {name: value.numpy().copy() for name, value in module.state_dict().items()}
 
 
-def moved(before: dict[str, np.ndarray], after: dict[str, np.ndarray]) -> set[str]:
+def moved(before, after):
     """Return the networks of the policy whose parameters differ."""
     return {name.split(".")[0] for name in after if not np.array_equal(after[name], before[name])}
 
 
-def copies(model: SACfD) -> list[Any]:
+def copies(model):
     """Return copies of the actor, the critic and the target of the critic."""
     policy = type(model.policy)(
         model.observation_space, model.action_space, lambda _: 0.0, **model.policy_kwargs
@@ -43,11 +41,8 @@ def test_without_imitation_it_is_the_stock_algorithm(learner, stock, make_toy):
     if stock is TQC:
         kwargs["top_quantiles_to_drop_per_net"] = 3
     # All targets bootstrap: SACfD draws no noise for the others.
-    ours = {
-        "bc_weight": 0,
-        "expert_episodes": 0,
-        "replay_buffer_kwargs": {"handle_timeout_termination": True},
-    }
+    ours = {"bc_weight": 0, "expert_episodes": 0}
+    ours["replay_buffer_kwargs"] = {"handle_timeout_termination": True}
     theirs = {"replay_buffer_class": ExpertReplayBuffer, "replay_buffer_kwargs": {"seed": 0}}
     trained = []
     for algorithm, options in ((learner, ours), (stock, theirs)):
@@ -117,11 +112,8 @@ def test_losses_equal_a_slow_reference(kwargs, make_learner):
         if sample.is_expert[b]:
             imitated = actions[b::16] - sample.expert_actions[b].numpy()
             squared_error += (imitated**2).mean() / int(sample.is_expert.sum())
-    expected = {
-        "critic_loss": critic_loss,
-        "bc_loss": squared_error,
-        "actor_loss": (alpha * log_prob - q_pi).mean(),
-    }
+    expected = {"critic_loss": critic_loss, "bc_loss": squared_error}
+    expected["actor_loss"] = (alpha * log_prob - q_pi).mean()
     if model.ent_coef_optimizer is not None:
         expected |= {"ent_coef": alpha, "ent_coef_loss": -(np.log(alpha) * (log_prob - 5.0)).mean()}
     for name, value in expected.items():
@@ -182,7 +174,7 @@ def test_pretraining_updates_the_actor_and_the_warm_up_everything(warmup, networ
 
 
 def test_the_critic_has_no_effect_on_the_actor_at_expert_steps_with_weight_0(make_learner):
-    def pretrained(**kwargs) -> dict[str, np.ndarray]:
+    def pretrained(**kwargs):
         settings = {"pretrain_steps": 20, "critic_warmup_steps": None, "ent_coef": 0.0}
         return parameters(make_learner(learning_starts=9, **settings, **kwargs).learn(1).actor)
 
@@ -191,35 +183,30 @@ def test_the_critic_has_no_effect_on_the_actor_at_expert_steps_with_weight_0(mak
     assert moved(imitated, pretrained())
 
 
-@pytest.mark.parametrize("n_envs", [1, 2])
-def test_dagger_queries_the_expert_before_every_step(n_envs, make_toy, make_learner):
-    model = make_learner(make_toy(n_envs), learning_starts=40, gradient_steps=0)
+def test_dagger_queries_the_expert_before_every_step(make_toy, make_learner):
+    model = make_learner(make_toy(2), learning_starts=40, gradient_steps=0)
     model.learn(40, callback=DaggerCallback())
     table = model.replay_buffer.table
     rows = np.flatnonzero(table.columns["valid"])[model.replay_buffer.expert_size :]
     actions, experts = (table.columns[name][rows] for name in ("action", "expert_action"))
-    assert len(rows) == 40 and np.isfinite(experts).all()
-    assert (experts[:, [0, 3, 4]] == 0).all()
+    assert len(rows) == 40 and np.isfinite(experts).all() and not experts[:, [0, 3, 4]].any()
     # The distance to the target is the expert's action where that is within the limits; a step reduces it.
     left = np.clip(experts - actions, -1, 1)[:, 1:3]
     next_rows = table.next(rows)
     within = (np.abs(experts) < 1)[:, 1:3] & table.columns["valid"][next_rows][:, None]
     assert within.sum() > 5
-    np.testing.assert_allclose(
-        table.columns["expert_action"][next_rows][:, 1:3][within], left[within], atol=1e-5
-    )
+    following = table.columns["expert_action"][next_rows][:, 1:3]
+    np.testing.assert_allclose(following[within], left[within], atol=1e-5)
 
 
 def test_dagger_imitates_in_online_steps(make_toy, make_learner):
     shares = {"sampler": {"shares": {"expert_fraction": 0.0}}}
     kwargs = {"expert_episodes": 1, "learning_starts": 20, "replay_buffer_kwargs": shares}
-    losses = [
-        make_learner(**kwargs).learn(25, callback=callback).logger.name_to_value["train/bc_loss"]
-        for callback in (None, DaggerCallback())
-    ]
+    losses = []
+    for callback in (None, DaggerCallback()):
+        model = make_learner(**kwargs).learn(25, callback=callback)
+        losses.append(model.logger.name_to_value["train/bc_loss"])
     assert losses[0] == 0.0 < losses[1]
-    env = make_toy()
-    model = make_learner(env, expert_episodes=0)
-    env.has_attr = lambda name: name != "expert_action"
+    model.env.has_attr = lambda name: name != "expert_action"
     with pytest.raises(ValueError, match=r"env must have expert_action\(\)"):
         model.learn(5, callback=DaggerCallback())

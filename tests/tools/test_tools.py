@@ -8,7 +8,7 @@ import imageio.v3 as iio
 import pytest
 
 import fill_tables
-from measurements import DataFile, number
+from measurements import DataFile
 
 HEAD = "env robot env_kwargs snap episodes first_seed success mean_steps machine date commit command".split()
 EXPERT = dict.fromkeys(HEAD, "") | {"env": "CloseLoopBlockReaching", "robot": "kuka", "episodes": "200"}
@@ -16,43 +16,18 @@ EXPERT |= {"success": "0.995", "mean_steps": "3.04"}
 KEY = ("env", "robot", "env_kwargs", "snap")
 
 
-def place(name: str, content: str = "") -> str:
+def place(name, content=""):
     return f"<!-- data: {name} -->{content}<!-- end of data -->"
 
 
-def test_a_row_replaces_the_one_with_its_key(tmp_path):
+def test_a_row_replaces_the_one_with_its_key_in_a_file_with_its_columns(tmp_path):
     data = DataFile(tmp_path / "experts.csv", KEY)
     for changes in {}, {"robot": "ur5"}, {"success": "0.5"}:
         data.add({**EXPERT, **changes})
     assert [(row["robot"], row["success"]) for row in data.read()] == [("kuka", "0.5"), ("ur5", "0.995")]
-
-
-def test_a_file_with_other_columns_is_rejected(tmp_path):
     (tmp_path / "experts.csv").write_text("a,b\n1,2\n")
     with pytest.raises(SystemExit, match=r"experts\.csv"):
-        DataFile(tmp_path / "experts.csv", KEY).read()
-
-
-def test_numbers_have_no_trailing_zeros():
-    assert [number(value, 3) for value in (1.0, 0.5, 0.1236, 100.0)] == ["1", "0.5", "0.124", "100"]
-    assert number(100.0, 0) == "100" and number(float("nan"), 2) == ""
-
-
-def test_places_are_filled_and_the_rest_is_kept(tmp_path, monkeypatch):
-    figures = {"two": lambda _: "2", "table": lambda _: "| a |\n| - |"}
-    monkeypatch.setattr(fill_tables, "FIGURES", figures)
-    text = "As in `<!-- data: NAME -->`.\n\nIt is {two} times.\n\n{table}\n\n??? info\n\n    {fold}\n\nEnd\n"
-    page = tmp_path / "page.md"
-    old = {"table": place("table", "\n\nold\n\n"), "fold": place("table")}
-    page.write_text(text.format(two=place("two", "3"), **old))
-    table, fold = (
-        f"\n\n{indentation}| a |\n{indentation}| - |\n\n{indentation}" for indentation in ("", "    ")
-    )
-    new = {"table": place("table", table), "fold": place("table", fold)}
-    wanted = text.format(two=place("two", "2"), **new)
-    monkeypatch.setattr(sys, "argv", ["fill_tables.py", str(page)])
-    fill_tables.main()
-    assert page.read_text() == wanted
+        data.read()
 
 
 @pytest.mark.parametrize("text", [place("sped"), place("speed").replace("end", "ned")])
@@ -72,7 +47,7 @@ REACHING = "BulletArm/CloseLoopBlockReaching-v0"
 STACKING = "BulletArm/OpenLoopBlockStacking-v0"
 
 
-def run(monkeypatch: pytest.MonkeyPatch, program: str, *words: str) -> None:
+def run(monkeypatch, program, *words):
     monkeypatch.setattr(sys, "argv", [program, *words])
     runpy.run_path(str(TOOLS / program), run_name="__main__")
 
@@ -86,17 +61,6 @@ def test_speed_is_compared_with_a_reference(tmp_path, monkeypatch):
     assert parts == pytest.approx(float(row["step_ms"]), abs=0.02)
     assert 0 < float(row["without_expert_ms"]) <= float(row["step_ms"])
     assert float(row["times_reference"]) > 0 and "measure_speed.py --env" in row["command"]
-
-
-@pytest.mark.slow
-def test_an_update_has_parts(tmp_path, monkeypatch):
-    data = tmp_path / "updates.csv"
-    words = ["--baseline", "equi_sacfd", "--env", REACHING, "--seconds", "0.3", "--data", str(data)]
-    run(monkeypatch, "measure_updates.py", *words)
-    [row] = DataFile(data, ("baseline",)).read()
-    shares = [float(row[part]) for part in ("gradients_of_convolutions", "convolutions", "pooling", "rest")]
-    assert sum(shares) == pytest.approx(1.0, abs=0.01)
-    assert float(row["update_ms"]) > 0 and float(row["equivariant_over_plain"]) > 0
 
 
 def test_experts_are_measured_on_the_grid(tmp_path, monkeypatch):
@@ -114,11 +78,3 @@ def test_tasks_are_drawn(tmp_path, monkeypatch):
     names = ["OpenLoopBlockStacking-v0-heightmap.webp", "OpenLoopBlockStacking-v0.webp"]
     assert sorted(path.name for path in tmp_path.iterdir()) == names
     assert iio.imread(tmp_path / names[1]).shape == (30, 52, 3)
-
-
-def test_curves_are_kept_in_a_file(tmp_path, monkeypatch):
-    data = tmp_path / "curves.csv"
-    source = (TOOLS.parent / "docs" / "data" / "six_baselines.csv").read_text().splitlines()
-    data.write_text("\n".join(source[:3]) + "\n")
-    run(monkeypatch, "draw_curves.py", str(data), "-o", str(tmp_path / "curves.png"))
-    assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")

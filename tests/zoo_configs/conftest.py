@@ -1,8 +1,6 @@
 """Trainings on a quick environment."""
 
 import sys
-from pathlib import Path
-from typing import Any
 
 import gymnasium as gym
 import pytest
@@ -41,7 +39,7 @@ def toy_envs():
 def train_tiny(toy_id):
     """Trains Equivariant SACfD for a few steps: ``train_tiny(folder, *more)`` returns the exit code."""
 
-    def train(folder: Path, *more: str) -> int:
+    def train(folder, *more):
         names = ["--baseline", "equi_sacfd", "--preset", "cpu", "--env", toy_id, "-f", str(folder)]
         return main(["train", *names, *TINY, *more])
 
@@ -69,7 +67,7 @@ def refuse(toy_id, tmp_path, capsys, monkeypatch):
     status is 2 and that nothing is left behind, and returns the one line of the error output.
     """
 
-    def run(*words: str) -> str:
+    def run(*words):
         monkeypatch.chdir(tmp_path)
         before = set(tmp_path.rglob("*"))
         capsys.readouterr()
@@ -98,7 +96,7 @@ def toys(toy_id):
 def bench(toys, tmp_path):
     """Runs a benchmark like TINY but for some keys: ``bench(*flags, key=value)`` returns the exit code."""
 
-    def run(*flags: str, **keys: Any) -> int:
+    def run(*flags, **keys):
         (tmp_path / "tiny.yml").write_text(yaml.safe_dump({**sweeps.TINY, **keys}))
         where = ["-f", str(tmp_path / "out"), *sweeps.FLAGS]
         return main(["benchmark", str(tmp_path / "tiny.yml"), *where, *flags])

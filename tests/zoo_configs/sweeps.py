@@ -4,22 +4,17 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import optuna
-import torch as th
 import yaml
 from optuna.storages.journal import JournalFileBackend, JournalStorage
-from optuna.trial import FrozenTrial
 from stable_baselines3.common.save_util import load_from_zip_file
 
 from zoo_configs.benchmarking.plan import build_jobs, parse_plan
 from zoo_configs.environments import our_env_ids, register_environments
 from zoo_configs.experiments.families import families
-from zoo_configs.training.runs import Run
 from zoo_configs.training.state import State, run_status
 
 register_environments()
@@ -37,7 +32,7 @@ HERE = Path(__file__).parent
 ROOT = HERE.parent.parent
 # Where processes find the toys as a package of a user's.
 PATH = os.pathsep.join([str(ROOT), str(HERE), os.environ.get("PYTHONPATH", "")])
-TINY: dict[str, Any] = {
+TINY = {
     "tasks": ["CloseLoopToy"],
     "baselines": ["sacfd"],
     "preset": "quick",
@@ -51,35 +46,35 @@ TINY: dict[str, Any] = {
 FLAGS = ("--gym-packages", "toy_tasks", "--device", "cpu", "--no-progress")
 
 
-def jobs_of(**keys: Any) -> list[Run]:
+def jobs_of(**keys):
     return build_jobs(parse_plan("tiny.yml", {**TINY, **keys}), ["toy_tasks"], "cpu")
 
 
-def weights(folder: Path) -> dict[str, th.Tensor]:
+def weights(folder):
     [model] = folder.glob("BulletArm-*.zip")
     return dict(load_from_zip_file(model, device="cpu")[1]["policy"])
 
 
-def same(left: Path, right: Path) -> bool:
+def same(left, right):
     ours, theirs = weights(left), weights(right)
     with np.load(left / "evaluations.npz") as first, np.load(right / "evaluations.npz") as second:
         evaluated = all(np.array_equal(first[key], second[key]) for key in first)
     return evaluated and all(bool((ours[key] == theirs[key]).all()) for key in ours)
 
 
-def trials_of(folder: Path, study: str) -> list[FrozenTrial]:
+def trials_of(folder, study):
     storage = JournalStorage(JournalFileBackend(str(folder / "studies" / study / "journal.log")))
     return optuna.load_study(study_name=study, storage=storage).trials
 
 
-def wait_for(condition: Callable[[], bool], seconds: float = 120) -> None:
+def wait_for(condition, seconds=120):
     last = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < last, "it does not happen"
         time.sleep(0.05)
 
 
-def start(folder: Path, plan: dict[str, Any], *flags: str) -> subprocess.Popen[bytes]:
+def start(folder, plan, *flags):
     """The command line in a process of its own."""
     (folder / "tiny.yml").write_text(yaml.safe_dump(plan))
     words = [sys.executable, "-m", "zoo_configs.cli", "benchmark", str(folder / "tiny.yml")]
@@ -91,6 +86,6 @@ def start(folder: Path, plan: dict[str, Any], *flags: str) -> subprocess.Popen[b
     )
 
 
-def is_running(folder: Path) -> bool:
+def is_running(folder):
     how = run_status(folder)
     return how is not None and how.state is State.RUNNING

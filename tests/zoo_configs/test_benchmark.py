@@ -7,41 +7,34 @@ import socket
 import threading
 import time
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 import sweeps
 import yaml
-from sweeps import FLAGS, TINY, is_running, jobs_of, same, start, wait_for
+from sweeps import TINY, is_running, jobs_of, same, start, wait_for
 
 from bulletarm_gym.benchmarks import BENCHMARKS
 from zoo_configs.benchmarking import cluster
 from zoo_configs.benchmarking.plan import Plan, build_jobs, read_plan
-from zoo_configs.benchmarking.process import ExitCode, JobProcess
+from zoo_configs.benchmarking.process import ExitCode
 from zoo_configs.benchmarking.run import Overview, shown, size_of
-from zoo_configs.cli import main
 from zoo_configs.errors import CommandError
 from zoo_configs.provenance import versions
 from zoo_configs.training.runs import find_runs, write_resolved
 from zoo_configs.training.state import State, run_lock, run_status, set_status
+from zoo_configs.training.train import train_experiment
 
 PICKING = "BulletArm/CloseLoopBlockPicking-v0"
 EXAMPLES = sorted((sweeps.ROOT / "examples" / "benchmarks").glob("*.yml"))
 pytestmark = pytest.mark.usefixtures("toys")
 
 
-# ---- Experiments
-
-
-@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
-def test_files_of_the_examples_are_plans(path):
-    plan = read_plan(str(path))
-    jobs = build_jobs(plan)
-    assert {job.experiment.label for job in jobs} == set(plan.baselines)
-    assert {f"BulletArm/{task}-v0" for task in plan.tasks} == {job.experiment.env_id for job in jobs}
+def test_files_of_the_examples_are_plans():
+    for path in EXAMPLES:
+        plan = read_plan(str(path))
+        assert {job.experiment.label for job in build_jobs(plan)} == set(plan.baselines), path
 
 
 def test_the_benchmarks_of_the_paper_have_its_baselines():
@@ -57,11 +50,11 @@ def test_the_benchmarks_of_the_paper_have_its_baselines():
 
 def test_a_plan_names_tasks_and_baselines_by_patterns():
     plan = Plan([PICKING, "CloseLoopBlockReaching", "CloseLoop*Pu[ls]*"], ["*equi_sacfd", "sac"], seeds=[3])
-    jobs = build_jobs(plan)
-    tasks = {job.experiment.env_id.removeprefix("BulletArm/CloseLoop") for job in jobs}
-    assert tasks == {"BlockPicking-v0", "BlockReaching-v0", "BlockPushing-v0", "BlockPulling-v0"}
-    assert {job.experiment.label for job in jobs} == {"equi_sacfd", "sac"}
-    assert {job.seed for job in jobs} == {3}
+    assert {str(job.folder) for job in build_jobs(plan)} == {
+        f"CloseLoopBlock{task}/{baseline}/seed_3"
+        for task in ("Picking", "Reaching", "Pushing", "Pulling")
+        for baseline in ("equi_sacfd", "sac")
+    }
     plan = Plan(["OpenLoopBlockStacking", "OpenLoopRampBlockStacking"], ["sdqfd_*cnn_asr*"], seeds=1)
     rows = [str(job.folder.parent) for job in build_jobs(plan)]
     assert rows == ["OpenLoopBlockStacking/sdqfd_cnn_asr", "OpenLoopRampBlockStacking/sdqfd_cnn_asr_6d"]
@@ -73,9 +66,9 @@ def test_a_plan_names_tasks_and_baselines_by_patterns():
 def test_each_baseline_has_one_run_a_variant():
     variants = {"whole": {}, "one_step": {"n_steps": 1}}
     jobs = build_jobs(Plan([PICKING], ["sacfd"], "cpu", 1, hyperparams={"gamma": 0.5}, variants=variants))
-    assert [str(job.folder.parent.name) for job in jobs] == ["sacfd-whole", "sacfd-one_step"]
-    returns = [(job.experiment.hyperparams["n_steps"], job.experiment.hyperparams["gamma"]) for job in jobs]
-    assert returns == [(10, 0.5), (1, 0.5)]
+    found = [(job.folder.parent.name, job.experiment.hyperparams) for job in jobs]
+    returns = [(name, hyperparams["n_steps"], hyperparams["gamma"]) for name, hyperparams in found]
+    assert returns == [("sacfd-whole", 10, 0.5), ("sacfd-one_step", 1, 0.5)]
 
 
 def test_runs_that_start_together_do_not_share_demonstrations():
@@ -94,8 +87,6 @@ def test_a_dry_run_lists_sizes_and_writes_nothing(bench, tmp_path, capsys):
     size = size_of(jobs[0])
     assert 0.12 < size.memory - 1.0 < 0.13  # 30,000 heightmaps of 64 x 64 bytes
     assert size.disk == 0.0 or size.disk == pytest.approx(3 * (size.memory - 1.0))
-    plan = read_plan("open_loop_3d")
-    assert all(size_of(job).memory > 1.0 for job in build_jobs(replace(plan, tasks=plan.tasks[:1], seeds=1)))
 
 
 def test_a_folder_that_is_locked_or_has_other_runs_is_refused(bench, tmp_path, capsys):
@@ -108,18 +99,14 @@ def test_a_folder_that_is_locked_or_has_other_runs_is_refused(bench, tmp_path, c
     assert str(tmp_path / "out") in capsys.readouterr().err
 
 
-# ---- Status
-
-
 def test_the_overview_is_read_from_the_folders(tmp_path, capsys):
     jobs = jobs_of(seeds=3)
-    overview = Overview(jobs, tmp_path)
     running, failed, _ = (tmp_path / job.folder for job in jobs)
     set_status(failed, State.FAILED, "the block is lost")
     running.mkdir()
+    overview = Overview(jobs, tmp_path)
     with run_lock(running), shown(overview, progress=True) as look:
-        results = [[0.0, 1.0]]
-        np.savez(running / "evaluations.npz", timesteps=[6], results=results, successes=results)
+        np.savez(running / "evaluations.npz", timesteps=[6], results=[[0.0, 1.0]], successes=[[0.0, 1.0]])
         look()
         assert overview.counts() == "0 done, 1 running, 1 waiting, 1 failed"
     printed = capsys.readouterr().err
@@ -147,46 +134,41 @@ def test_a_run_has_one_process_at_a_time(tmp_path):
         run_status(tmp_path)
 
 
-@pytest.mark.parametrize("killed", [True, False])
-def test_the_time_of_a_killed_process_counts_up_to_the_checkpoint(killed, tmp_path):
+def test_the_time_of_a_killed_process_counts_up_to_the_checkpoint(tmp_path):
     with run_lock(tmp_path):
         (checkpoint := tmp_path / "checkpoint").mkdir()
     how = run_status(tmp_path)
-    assert how is not None and how.until == how.since + how.seconds
-    if killed:
-        how = how._replace(state=State.RUNNING, until=0.0, seconds=5.0)
-        os.utime(checkpoint, (how.since + 100.0, how.since + 100.0))
-        (tmp_path / "state.yml").write_text(yaml.safe_dump({**how._asdict(), "state": how.state.value}))
+    assert how.until == how.since + how.seconds
+    how = how._replace(state=State.RUNNING, until=0.0, seconds=5.0)
+    os.utime(checkpoint, (how.since + 100.0, how.since + 100.0))
+    (tmp_path / "state.yml").write_text(yaml.safe_dump({**how._asdict(), "state": how.state.value}))
     with run_lock(tmp_path, checkpoint):
-        again = run_status(tmp_path)
-    assert again is not None and again.seconds == pytest.approx(105.0 if killed else how.seconds)
+        assert run_status(tmp_path).seconds == pytest.approx(105.0)
 
 
-# ---- Runs on this machine
-
-
-def state_of(folder: Path) -> State | None:
+def state_of(folder):
     status = run_status(folder)
     return None if status is None else status.state
 
 
 def test_runs_that_fail_do_not_stop_the_others(bench, tmp_path, capsys):
     tasks = ["CloseLoopToyFailing", "CloseLoopToyCrashing", "CloseLoopToy"]
+    failing, crashing, good = (tmp_path / "out" / task / "sacfd" / "seed_0" for task in tasks)
+
+    def times():
+        return [(folder / "state.yml").stat().st_mtime_ns for folder in (failing, crashing, good)]
+
     assert bench("-j", "2", tasks=tasks, seeds=1) == 2
     out, err = capsys.readouterr()
     assert out.splitlines()[0] == "1 done, 0 running, 0 waiting, 2 failed"
     assert "2 of 3 runs failed" in err.splitlines()[-1] and "CloseLoopToyFailing/" in err.splitlines()[-1]
-    failing, crashing, good = (tmp_path / "out" / task / "sacfd" / "seed_0" for task in tasks)
-    assert "the block is lost" in run_status(failing).error  # type: ignore[union-attr]
-    assert "SIGSEGV" in run_status(crashing).error  # type: ignore[union-attr]
+    assert "the block is lost" in run_status(failing).error and "SIGSEGV" in run_status(crashing).error
     assert "RuntimeError: the block is lost" in (failing / "log.txt").read_text()
-    # A second start leaves both done and failed runs, unless --retry-failed is passed.
-    before = {folder: (folder / "state.yml").stat().st_mtime_ns for folder in (good, failing)}
+    before = times()
     assert bench("-j", "2", tasks=tasks, seeds=1) == 2
-    assert {folder: (folder / "state.yml").stat().st_mtime_ns for folder in before} == before
+    assert times() == before  # failed runs are repeated with --retry-failed only
     assert bench("--retry-failed", "--env", "CloseLoopToyFailing", tasks=tasks, seeds=1) == 2
-    after = {folder: (folder / "state.yml").stat().st_mtime_ns for folder in before}
-    assert after[failing] != before[failing] and after[good] == before[good]
+    assert [old == new for old, new in zip(before, times(), strict=True)] == [False, True, True]
 
 
 def test_a_full_disk_ends_the_benchmark_and_no_run(bench, tmp_path, capsys):
@@ -195,19 +177,6 @@ def test_a_full_disk_ends_the_benchmark_and_no_run(bench, tmp_path, capsys):
     overview = Overview(jobs_of(tasks=["CloseLoopToyFull"]), tmp_path / "out")
     overview.update()
     assert overview.counts() == "0 done, 0 running, 2 waiting, 0 failed"
-
-
-def test_an_interrupted_run_is_killed_with_a_checkpoint(tmp_path):
-    options = {**TINY["options"], "n_timesteps": 60, "save_freq": 6}
-    [job] = jobs_of(tasks=["CloseLoopToySlow"], seeds=1, options=options)
-    process, folder = JobProcess(job, tmp_path), tmp_path / job.folder
-    wait_for(lambda: any(folder.glob("checkpoints/checkpoint_*")))
-    process.interrupt()
-    assert process.wait(60) and process.exit_code() is ExitCode.INTERRUPTED
-    assert state_of(folder) is State.KILLED
-
-
-KILLED = {"tasks": ["CloseLoopToySlow"], "seeds": 2, "options": {**TINY["options"], "n_timesteps": 24}}
 
 
 @pytest.mark.parametrize(
@@ -219,26 +188,25 @@ KILLED = {"tasks": ["CloseLoopToySlow"], "seeds": 2, "options": {**TINY["options
     ],
 )
 def test_a_killed_benchmark_loses_nothing(seed, kills, how, bench, tmp_path):
-    plan = {**TINY, **KILLED, "baselines": ["sacfd", "equi_sacfd"][:kills]}
+    plan = {"tasks": ["CloseLoopToySlow"], "options": {**TINY["options"], "n_timesteps": 24}}
+    plan |= {"seeds": 1} if kills == 1 else {"seeds": 2, "baselines": ["sacfd", "equi_sacfd"]}
     rng, out = random.Random(seed), tmp_path / "out"
     for _ in range(kills):
-        process = start(tmp_path, plan, "-j", "2")
+        process = start(tmp_path, {**TINY, **plan}, "-j", "2")
         wait_for(lambda: any(out.glob("*/*/*/log.txt")))
         time.sleep(rng.uniform(0.0, 4.0))
         process.send_signal(how)
         assert process.wait(90) == (130 if how is signal.SIGINT else -how)
         wait_for(lambda: not any(is_running(folder) for folder in out.glob("*/*/seed_*")))
     assert bench("-j", "2", **plan) == 0
-    runs = find_runs(out)
-    assert {str(run.folder.relative_to(out)) for run in runs} == {str(job.folder) for job in jobs_of(**plan)}
-    whole = ["-f", str(tmp_path / "whole"), *FLAGS, "-j", "2"]
-    assert main(["benchmark", str(tmp_path / "tiny.yml"), *whole]) == 0
-    for run in runs:
-        assert state_of(run.folder) is State.DONE
-        assert same(run.folder, tmp_path / "whole" / run.folder.relative_to(out))
+    jobs = jobs_of(**plan)
+    assert {str(run.folder.relative_to(out)) for run in find_runs(out)} == {str(job.folder) for job in jobs}
+    for job in jobs:
+        assert state_of(out / job.folder) is State.DONE
+        whole = tmp_path / "whole" / job.folder
+        train_experiment(job.experiment, job.seed, job.device, options=job.options, at=whole)
+        assert same(out / job.folder, whole)
 
-
-# ---- Runs on a Ray cluster
 
 NODE = {"num_cpus": 1, "object_store_memory": 80 * 2**20, "memory": 4 * 10**9}
 SLOW = {"tasks": ["CloseLoopToySlow", "CloseLoopToyFailing"], "seeds": 1, "baselines": ["sacfd", "sac"]}
@@ -276,7 +244,7 @@ def test_a_machine_must_share_the_folder_and_the_versions(tmp_path, monkeypatch)
 
 
 def test_a_run_that_is_lost_again_and_again_fails(tmp_path, monkeypatch):
-    def lost(*_: Any) -> Any:
+    def lost(*_):
         ended = {"wait": lambda _=None: True, "exit_code": lambda: ExitCode.INTERRUPTED}
         return SimpleNamespace(**ended, interrupt=lambda: None, kill=lambda: None)
 
@@ -292,54 +260,40 @@ def test_a_run_that_is_lost_again_and_again_fails(tmp_path, monkeypatch):
 
 
 def test_a_dead_address_is_reported_soon(bench, tmp_path, capsys, monkeypatch):
-    """Nothing listens on port 9; a listener that never answers is a hang."""
+    """Of a listener that never answers: connecting hangs."""
     pytest.importorskip("ray")
-    monkeypatch.setattr(cluster, "CONNECTING_SECONDS", 6.0)
+    monkeypatch.setattr(cluster, "CONNECTING_SECONDS", 2.0)
     with socket.create_server(("127.0.0.1", 0)) as silent:
-        for address in ("127.0.0.1:9", f"127.0.0.1:{silent.getsockname()[1]}"):
-            assert bench("--ray", address) == 2
-            assert address in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
+        address = f"127.0.0.1:{silent.getsockname()[1]}"
+        assert bench("--ray", address) == 2
+    assert address in capsys.readouterr().err and not (tmp_path / "out").exists()
 
 
 @pytest.mark.slow
-def test_a_node_killed_in_the_middle_loses_nothing(ray_cluster, bench, tmp_path, capsys):
+def test_a_killed_caller_or_node_loses_nothing(ray_cluster, bench, tmp_path, capsys):
     assert bench("--ray", ray_cluster.address, "--memory", "1000") == 2  # more than any machine has
     assert "CloseLoopToy/sacfd/seed_0" in capsys.readouterr().err and not (tmp_path / "out").exists()
-    node, out = ray_cluster.add_node(**NODE), tmp_path / "out"
+    out, plan = tmp_path / "out", {**SLOW, "options": {**TINY["options"], "n_timesteps": 48}}
+    for how, code in ((signal.SIGINT, 130), (signal.SIGKILL, -9)):
+        caller = start(tmp_path, {**TINY, **plan}, "--ray", ray_cluster.address)
+        wait_for(lambda: any(is_running(folder) for folder in out.glob("*/*/seed_*")))
+        caller.send_signal(how)
+        assert caller.wait(120) == code
+        wait_for(lambda: not any(is_running(folder) for folder in out.glob("*/*/seed_*")))
+    node = ray_cluster.add_node(**NODE)
 
-    def kill() -> None:
-        """As soon as every node trains, the second is gone."""
-        wait_for(lambda: len(list(out.glob("CloseLoopToySlow/*/*/checkpoints/checkpoint_*"))) > 0)
+    def kill():
+        """When every node trains."""
+        wait_for(lambda: any(out.glob("CloseLoopToySlow/*/*/checkpoints/checkpoint_*")))
         wait_for(lambda: len(list(out.glob("CloseLoopToySlow/*/*/state.yml"))) > 1)
         ray_cluster.remove_node(node, allow_graceful=False)
 
     killer = threading.Thread(target=kill)
     killer.start()
-    plan = {**SLOW, "options": {**TINY["options"], "n_timesteps": 48}}
     assert bench("--ray", ray_cluster.address, **plan) == 2
     killer.join()
     assert "2 done, 0 running, 0 waiting, 2 failed" in capsys.readouterr().out.splitlines()
-    assert state_of(out / "CloseLoopToyFailing/sac/seed_0") is State.FAILED
     assert not list(out.glob(".benchmark-*"))
-    # A done run is the same as without a cluster, and is not repeated.
-    (tmp_path / "tiny.yml").write_text(yaml.safe_dump({**TINY, **plan, "tasks": ["CloseLoopToySlow"]}))
-    here = ["benchmark", str(tmp_path / "tiny.yml"), *FLAGS, "-j", "2", "-f"]
-    assert main([*here, str(tmp_path / "whole")]) == 0
-    for baseline in ("sac", "sacfd"):
-        name = f"CloseLoopToySlow/{baseline}/seed_0"
-        assert same(out / name, tmp_path / "whole" / name)
-    assert main([*here, str(out)]) == 0
-    assert "2 done, 0 running, 0 waiting" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_a_caller_that_is_interrupted_or_killed_loses_nothing(ray_cluster, bench, tmp_path):
-    out, plan = tmp_path / "out", {**TINY, "tasks": ["CloseLoopToySlow"], "baselines": ["sacfd", "sac"]}
-    for how, code in ((signal.SIGINT, 130), (signal.SIGKILL, -9)):
-        caller = start(tmp_path, plan, "--ray", ray_cluster.address)
-        wait_for(lambda: any(is_running(folder) for folder in out.glob("*/*/seed_*")))
-        caller.send_signal(how)
-        assert caller.wait(120) == code
-        wait_for(lambda: not any(is_running(folder) for folder in out.glob("*/*/seed_*")))
-    assert bench("--ray", ray_cluster.address, **plan) == 0
+    [job] = jobs_of(**{**plan, "tasks": ["CloseLoopToySlow"], "baselines": ["sacfd"]})
+    whole = train_experiment(job.experiment, job.seed, "cpu", options=job.options, at=tmp_path / "whole")
+    assert same(out / job.folder, whole.folder)

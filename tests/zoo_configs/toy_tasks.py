@@ -1,51 +1,63 @@
 """Toy tasks for processes that do not know the fixtures: ``--gym-packages toy_tasks``."""
 
 import errno
+import itertools
 import os
 import signal
 import time
-from typing import Any
+from pathlib import Path
 
 import gymnasium as gym
 from toy_env import TOY_ID, ToyEnv
 
-
-class FailingToy(ToyEnv):
-    """A task whose author has made a mistake."""
-
-    def step(self, action: Any) -> Any:
-        raise RuntimeError("the block is lost")
+EVENTS = itertools.count(1)
+replace = os.replace
 
 
-class CrashingToy(ToyEnv):
-    """A task whose engine takes the process with it."""
-
-    def step(self, action: Any) -> Any:
-        os.kill(os.getpid(), signal.SIGSEGV)
+def fail(env, action):
+    raise RuntimeError("the block is lost")
 
 
-class FullToy(ToyEnv):
-    """A task on a full disk."""
-
-    def step(self, action: Any) -> Any:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+def crash(env, action):
+    os.kill(os.getpid(), signal.SIGSEGV)
 
 
-class SlowToy(ToyEnv):
-    """A task that leaves time to end it."""
-
-    def step(self, action: Any) -> Any:
-        time.sleep(0.05)
-        return super().step(action)
+def fill_disk(env, action):
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
-TOYS = {
-    "Toy": ToyEnv,
-    "ToyFailing": FailingToy,
-    "ToyCrashing": CrashingToy,
-    "ToyFull": FullToy,
-    "ToySlow": SlowToy,
-}
-for name, toy in TOYS.items():
-    if (env_id := TOY_ID.replace("Toy", name)) not in gym.registry:
-        gym.register(env_id, entry_point=toy)
+def step_slowly(env, action):
+    time.sleep(0.05)
+    return ToyEnv.step(env, action)
+
+
+def hang(env, action):
+    """Stop once there is a checkpoint, if ``HANGS`` is set."""
+    while "HANGS" in os.environ and any(Path().glob("studies/*/*/checkpoints/*/model.zip")):
+        time.sleep(1)
+    return ToyEnv.step(env, action)
+
+
+def count():
+    """Kill the process at the event with the number ``DIES_AT``."""
+    if next(EVENTS) == int(os.environ.get("DIES_AT", 0)):
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+def step_and_count(env, action):
+    count()
+    return ToyEnv.step(env, action)
+
+
+def replace_and_count(*args, **kwargs):
+    count()
+    replace(*args, **kwargs)
+    count()
+
+
+if "DIES_AT" in os.environ:
+    os.replace = replace_and_count
+STEPS = {"": ToyEnv.step, "Failing": fail, "Crashing": crash, "Full": fill_disk, "Slow": step_slowly}
+for name, step in {**STEPS, "Hanging": hang, "Counting": step_and_count}.items():
+    if (env_id := TOY_ID.replace("Toy", f"Toy{name}")) not in gym.registry:
+        gym.register(env_id, entry_point=type(f"Toy{name}", (ToyEnv,), {"step": step}))

@@ -18,7 +18,6 @@ from sb3_extensions.common.checkpoint import (
     CheckpointError,
     DirectoryCheckpointCallback,
     latest_checkpoint,
-    latest_valid_checkpoint,
     resume,
     save_checkpoint,
 )
@@ -47,8 +46,7 @@ def assert_same(first, second):
     for name in ("num_timesteps", "_n_updates", "_episode_num", "_current_progress_remaining"):
         assert getattr(first, name) == getattr(second, name), name
     episodes = [[(e["r"], e["l"]) for e in m.ep_info_buffer] for m in (first, second)]
-    assert episodes[0] == episodes[1]
-    assert list(first.ep_success_buffer) == list(second.ep_success_buffer)
+    assert episodes[0] == episodes[1] and first.ep_success_buffer == second.ep_success_buffer
 
 
 def assert_equal_trees(first, second):
@@ -56,21 +54,19 @@ def assert_equal_trees(first, second):
         np.testing.assert_array_equal(ours, theirs)
 
 
+SELF_IMITATING = {
+    "replay_buffer_kwargs": {"sampler": {"shares": {"success_fraction": 0.2}}},
+    "self_imitation_temperature": 0.1,
+}
+
+
 @pytest.mark.parametrize(
     ("n_envs", "kwargs"),
     [
-        (1, {"learning_starts": 20}),
-        (2, {"action_noise": NormalActionNoise(np.zeros(5), np.full(5, 0.1)), "augmentation": "drq"}),
+        (2, {"action_noise": NormalActionNoise(np.zeros(5), np.full(5, 0.1)), "learning_starts": 20}),
         (2, {"replay_buffer_kwargs": {"sampler": "prioritized"}, "augmentation": "rotation", "n_steps": 2}),
-        (1, {"learner": TQCfD, "policy": "EquivariantPolicy"}),
+        (1, {"learner": TQCfD, "policy": "EquivariantPolicy", "augmentation": "drq", **SELF_IMITATING}),
         (2, {"learner": FERM, "augmentation": {"rotation": {}, "rad": {"size": 12}}}),
-        (
-            2,
-            {
-                "replay_buffer_kwargs": {"sampler": {"shares": {"success_fraction": 0.2}}},
-                "self_imitation_temperature": 0.1,
-            },
-        ),
     ],
 )
 def test_resumed_run_equals_uninterrupted_run(n_envs, kwargs, make_toy, make_model, tmp_path):
@@ -95,7 +91,6 @@ def test_resumed_run_equals_uninterrupted_run(n_envs, kwargs, make_toy, make_mod
     "kwargs",
     [
         {"pretrain_steps": 9, "critic_warmup_steps": 7},
-        {"learner": FERM, "pretrain_steps": 4, "contrastive_steps": 5},
         {"learner": FERM, "pretrain_steps": 3, "contrastive_steps": 2},
     ],
 )
@@ -107,7 +102,7 @@ def test_run_interrupted_in_pretraining_resumes_there(kwargs, make_toy, make_mod
             if self.model.n_pretrained == 4:
                 raise KeyboardInterrupt
 
-        def _on_step(self) -> bool:
+        def _on_step(self):
             return True
 
     with pytest.raises(KeyboardInterrupt):
@@ -137,13 +132,9 @@ def test_states_of_wrappers_and_time_limits_are_restored(make_model, tmp_path):
     assert 0 < max(e["l"] for e in resumed.ep_info_buffer) <= 6
 
 
-@pytest.mark.parametrize(
-    ("algorithm", "kwargs"),
-    [(PPO, {"n_steps": 8, "batch_size": 8}), (SAC, {"learning_starts": 10, "buffer_size": 100})],
-)
-def test_stock_algorithms(algorithm, kwargs, make_toy, tmp_path):
-    settings = {"policy_kwargs": {"net_arch": [8]}, "seed": 0, "device": "cpu", **kwargs}
-    whole = algorithm("MultiInputPolicy", make_toy(), **settings)
+def test_a_stock_algorithm(make_toy, tmp_path):
+    settings = {"n_steps": 8, "batch_size": 8, "policy_kwargs": {"net_arch": [8]}, "seed": 0, "device": "cpu"}
+    whole = PPO("MultiInputPolicy", make_toy(), **settings)
     whole.learn(48, callback=DirectoryCheckpointCallback(24, tmp_path))
     resumed = resume(min(tmp_path.iterdir()), make_toy(), device="cpu")
     resumed.learn(48 - resumed.num_timesteps, reset_num_timesteps=False)
@@ -167,28 +158,19 @@ def test_latest_checkpoints_are_kept_in_the_order_of_writing(make_toy, make_mode
             DirectoryCheckpointCallback(path=tmp_path, **bad)
 
 
-def _killed(*args, **kwargs):
-    raise KeyboardInterrupt
+def test_interrupted_write_keeps_the_last_checkpoint(make_toy, make_model, tmp_path, monkeypatch):
+    def fail(*args, **kwargs):
+        raise OSError(errno.ENOSPC, "No space left on device")
 
-
-def _disk_full(*args, **kwargs):
-    raise OSError(errno.ENOSPC, "No space left on device")
-
-
-@pytest.mark.parametrize("failure", [_killed, _disk_full])
-@pytest.mark.parametrize("target", ["save", "save_replay_buffer", "os.rename"])
-def test_interrupted_write_keeps_the_last_checkpoint(
-    failure, target, make_toy, make_model, tmp_path, monkeypatch
-):
     model = make_model().learn(5)
     first = save_checkpoint(model, tmp_path, keep=1)
     model.learn(5, reset_num_timesteps=False)
-    with monkeypatch.context() as patch:
-        patch.setattr(*([target] if "." in target else [model, target]), failure)
-        with pytest.raises((KeyboardInterrupt, OSError)):
-            save_checkpoint(model, tmp_path, keep=1)
-    assert latest_checkpoint(tmp_path) == first
-    assert target == "os.rename" or list(tmp_path.iterdir()) == [first]
+    for target in ([model, "save"], [model, "save_replay_buffer"], ["os.rename"]):
+        with monkeypatch.context() as patch:
+            patch.setattr(*target, fail)
+            with pytest.raises(OSError, match="space"):
+                save_checkpoint(model, tmp_path, keep=1)
+        assert latest_checkpoint(tmp_path) == first
     assert resume(tmp_path, make_toy(), device="cpu").num_timesteps == 5
     second = save_checkpoint(model, tmp_path, keep=1)
     assert list(tmp_path.iterdir()) == [second]  # nothing half written is left behind
@@ -221,34 +203,14 @@ def test_resume_rejects_damaged_and_other_directories(make_toy, make_model, tmp_
         shutil.rmtree(copy)
     with pytest.raises(CheckpointError, match="nowhere"):
         resume(tmp_path / "nowhere", env)
-
-
-def test_damaged_checkpoint_is_skipped_and_deleted_first(make_toy, make_model, tmp_path):
-    model = make_model().learn(5)
-    first = save_checkpoint(model, tmp_path)
-    damaged = save_checkpoint(model.learn(5, reset_num_timesteps=False), tmp_path)
-    assert latest_valid_checkpoint(tmp_path) == (damaged, [])
-    (damaged / "model.zip").write_bytes(b"")
-    with pytest.warns(UserWarning, match=f"{damaged} .*model.zip .*{first}"):
-        resumed = resume(tmp_path, make_toy(), device="cpu")
-    assert resumed.num_timesteps == 5
-    newest = save_checkpoint(resumed.learn(2, reset_num_timesteps=False), tmp_path, keep=1)
-    assert list(tmp_path.iterdir()) == [newest]
-    (newest / "state.pkl").unlink()
-    with pytest.raises(CheckpointError, match=str(newest)):
-        latest_valid_checkpoint(tmp_path)
-
-
-def test_other_number_of_envs_or_wrappers(make_toy, make_model, tmp_path):
-    save_checkpoint(make_model(make_toy(2)).learn(4), tmp_path)
-    with pytest.raises(ValueError, match="2 environments, got 1"):
-        resume(tmp_path, make_toy(1))
+    with pytest.raises(ValueError, match="1 environments, got 2"):
+        resume(checkpoint, make_toy(2))
     with pytest.raises(ValueError, match=r"got \['VecMonitor'\]"):
-        resume(tmp_path, VecMonitor(make_toy(2)))
+        resume(checkpoint, VecMonitor(env))
 
 
 def test_envs_without_state_start_a_new_episode(tmp_path):
-    def make_env() -> VecNormalize:
+    def make_env():
         return VecNormalize(DummyVecEnv([lambda: gym.make("Pendulum-v1")]))
 
     kwargs = {"buffer_size": 100, "policy_kwargs": {"net_arch": [8]}, "seed": 0}
@@ -259,5 +221,5 @@ def test_envs_without_state_start_a_new_episode(tmp_path):
     assert resumed._last_obs is None
     normalised, before = resumed.get_env(), model.get_env()
     assert normalised.obs_rms.count == before.obs_rms.count > 10
-    np.testing.assert_array_equal(normalised.ret_rms.var, before.ret_rms.var)
+    assert normalised.ret_rms.var == before.ret_rms.var
     assert resumed.learn(5, reset_num_timesteps=False).num_timesteps == 15

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import subprocess
-import sys
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,10 +11,9 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 from gymnasium.wrappers import RescaleAction
-from stable_baselines3 import SAC
 from stable_baselines3.common.env_util import make_vec_env
 
-from bulletarm_gym.demonstrations import Demonstrations, collect
+from bulletarm_gym.demonstrations import collect
 from sb3_extensions.demonstrations.collection import collect_episodes
 from sb3_extensions.demonstrations.dagger import DaggerCallback
 from sb3_extensions.demonstrations.episodes import Episode
@@ -25,7 +22,7 @@ from sb3_extensions.demonstrations.source import load_episodes
 from sb3_extensions.sacfd import SACfD
 
 
-@pytest.mark.parametrize("steps", [None, 2, 6])
+@pytest.mark.parametrize("steps", [None, 2])
 def test_a_loaded_model_begins_again_with_demonstrations_of_its_environment(
     steps, make_toy, make_learner, tmp_path
 ):
@@ -112,22 +109,13 @@ def test_a_replay_buffer_of_another_environment_is_rejected(
         model.learn(1)
 
 
-def test_a_replay_buffer_of_another_class_is_rejected(make_toy, make_learner, tmp_path):
-    stock = SAC("MultiInputPolicy", make_toy(), buffer_size=50, policy_kwargs={"net_arch": [4]})
-    stock.save_replay_buffer(tmp_path / "buffer")
-    model = make_learner()
-    model.load_replay_buffer(tmp_path / "buffer")
-    with pytest.raises(AssertionError, match="ExpertReplayBuffer"):
-        model.learn(1)
-
-
 ENV_ID = "BulletArm/CloseLoopBlockReaching-v0"
 OTHER_ID = "BulletArm/CloseLoopBlockPicking-v0"
 PARTS = ("observations", "actions", "rewards", "terminations")
 
 
 @pytest.fixture(scope="module")
-def reaching() -> Demonstrations:
+def reaching():
     return collect(ENV_ID, 1, seed=0, env_kwargs={"observation": "state"})
 
 
@@ -142,7 +130,7 @@ class MinariLike(list[Any]):
         self.action_space = spaces.Box(-1.0, 1.0, (5,), np.float32)
 
 
-def learn(data, env=None, policy: str = "StatePolicy", **env_kwargs):
+def learn(data, env=None, policy="StatePolicy", **env_kwargs):
     """Return the replay buffer after a step; refused demonstrations leave it empty."""
     env = env or make_vec_env(ENV_ID, env_kwargs={"observation": "state", **env_kwargs})
     model = SACfD(policy, env, expert_data=data, buffer_size=100, seed=0)
@@ -153,12 +141,12 @@ def learn(data, env=None, policy: str = "StatePolicy", **env_kwargs):
         raise
 
 
-def plain_episode(episode, **changes) -> Episode:
+def plain_episode(episode, **changes):
     parts = {name: getattr(episode, name) for name in (*PARTS, "truncations", "seed")}
     return dataclasses.replace(Episode(**parts, expert_actions=episode.actions), **changes)
 
 
-def rescaled(low: float, high: float):
+def rescaled(low, high):
     env = gym.make(ENV_ID, observation="state")
     return make_vec_env(lambda: RescaleAction(env, np.float32(low), np.float32(high)))
 
@@ -194,12 +182,11 @@ def test_expert_data_without_episodes_is_refused(reaching, tmp_path):
         learn(tmp_path / "none.h5")
 
 
-@pytest.mark.parametrize("sequence", ["xyzrp", "pxyz"])
-def test_demonstrations_of_other_actions_are_refused(sequence, reaching):
-    with pytest.raises(ValueError, match=f"^expert_data must have action_sequence='{sequence}'.*'pxyzr'$"):
-        learn(reaching, action_sequence=sequence)
-    with pytest.raises(ValueError, match=f"got '{sequence}'"):
-        learn(MinariLike(reaching, action_sequence=sequence))
+def test_demonstrations_of_other_actions_are_refused(reaching):
+    with pytest.raises(ValueError, match=r"^expert_data must have action_sequence='xyzrp'.*'pxyzr'$"):
+        learn(reaching, action_sequence="xyzrp")
+    with pytest.raises(ValueError, match="got 'pxyz'"):
+        learn(MinariLike(reaching, action_sequence="pxyz"))
     data = MinariLike(reaching)
     data.action_ranges = {**(reaching.action_ranges or {}), "x": (0.0, 1.0)}
     with pytest.raises(ValueError, match=r"^expert_data must have action_ranges=.* got .*\(0\.0, 1\.0\)"):
@@ -242,17 +229,12 @@ def test_shapes_and_values_outside_their_bounds_are_refused(name, change, messag
         learn([episode, wrong])
 
 
-def test_bulletarm_gym_is_imported_for_a_path_only():
-    code = "import sys, sb3_extensions.sacfd; assert 'bulletarm_gym' not in sys.modules"
-    subprocess.run([sys.executable, "-c", code], check=True)
-
-
-@pytest.mark.parametrize("callback", [None, DaggerCallback()])
-def test_learner_stores_the_experts_actions_in_the_wrapped_action_space(callback):
+def test_learner_stores_the_experts_actions_in_the_wrapped_action_space():
+    """Of demonstrations, and of a step with DAgger."""
     stored = []
     for env in (make_vec_env(ENV_ID, env_kwargs={"observation": "state"}), rescaled(-2.0, 5.0)):
         model = SACfD("StatePolicy", env, expert_episodes=2, expert_noise=0.05, buffer_size=100, seed=0)
-        buffer = model.learn(2, callback=callback).replay_buffer
+        buffer = model.learn(2, callback=DaggerCallback()).replay_buffer
         executed, intended = (buffer.steps(name) for name in ("action", "expert_action"))
         assert np.abs(executed - intended)[: buffer.expert_size].max() > 0.02
         stored.append(intended[: buffer.expert_size + 1])

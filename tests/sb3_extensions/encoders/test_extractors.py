@@ -1,7 +1,6 @@
 """Encoders and feature extractors of images, of numbers, and of images with numbers and smaller images."""
 
 import functools
-from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -28,21 +27,21 @@ REGULAR = functools.partial(EquivariantExtractor, n=4, channels=[2, 4, 4])
 INVARIANT = functools.partial(REGULAR, output="invariant")
 
 
-def heights(*shape: int, high: float = 0.4) -> spaces.Box:
+def heights(*shape, high=0.4):
     return spaces.Box(0, high, shape, np.float32)
 
 
-def observation_space(**others) -> spaces.Dict:
+def observation_space(**others):
     return spaces.Dict({"heightmap": heights(1, SIZE, SIZE), "holding": heights(1, high=1), **others})
 
 
-def with_small_images() -> spaces.Dict:
+def with_small_images():
     """Return a space with an in-hand image, and a float and a uint8 image of a third size."""
     colour = spaces.Box(0, 255, (3, 8, 8), np.uint8)
     return observation_space(in_hand=heights(3, 10, 10), touch=heights(1, 8, 8, high=1), colour=colour)
 
 
-def sample(space, batch: int = 3):
+def sample(space, batch=3):
     """Return observations as Stable-Baselines3 passes them to extractors: uint8 images are in [0, 1]."""
     space.seed(0)
     drawn = [space.sample() for _ in range(batch)]
@@ -64,7 +63,7 @@ def test_default_channels_are_the_papers():
         assert [x.out_type.size // 8 for x in layers if isinstance(x, EquivariantConv2d)] == expected
 
 
-@pytest.mark.parametrize("size, encoded", [(5, 6), (20, 24), (25, 32), (84, 96), (224, 256)])
+@pytest.mark.parametrize("size, encoded", [(5, 6), (25, 32), (84, 96)])
 def test_images_of_any_size_are_resized_and_encoded_equivariantly(size, encoded):
     assert encoded_size(size) == encoded
     channels = (8,) * (count_halvings(size) + 2)
@@ -92,13 +91,11 @@ def test_stack_scales_images_and_repeats_numbers(standardise, above_ground, quan
     space = observation_space(**others, colour=spaces.Box(0, 255, (3, SIZE, SIZE), np.uint8))
     stack = StackedImage(space, quantise, standardise=standardise, above_ground=above_ground)
     observations = {**sample(space), "stage": th.eye(4)[:3]}
-    image, expected = stack(observations), [observations["colour"]]
-    seen = observations["heightmap"]
+    image, seen = stack(observations), observations["heightmap"]
     farthest = seen.amax(dim=(1, 2, 3), keepdim=True)
-    if above_ground:
-        seen = farthest - seen
+    height = farthest - seen if above_ground else seen
     mean, deviation = standardise or (0.0, 0.4)
-    expected.append((seen - mean) / deviation)
+    expected = [observations["colour"], (height - mean) / deviation]
     if above_ground:
         expected.append(((farthest - 0.2) / 0.1).expand_as(seen))
     for key in ("extra", "holding", "stage"):
@@ -123,12 +120,10 @@ def test_single_images_and_images_without_bounds_are_accepted():
 @pytest.mark.parametrize("dtype", ["uint8", "uint16"])
 def test_features_equal_those_of_stored_images(dtype):
     space = observation_space()
-    extractor, quantiser = CNN(space, quantise=dtype), Quantiser(space["heightmap"], dtype)
-    seen = sample(space)
-    levels = quantiser.encode(seen["heightmap"].numpy())
-    stored = {**seen, "heightmap": th.from_numpy(quantiser.decode(levels))}
-    assert not th.equal(seen["heightmap"], stored["heightmap"])
-    assert th.equal(extractor(seen), extractor(stored))
+    seen, extractor = sample(space), CNN(space, quantise=dtype)
+    rounded = Quantiser(space["heightmap"], dtype).round_trip(seen["heightmap"])
+    assert not th.equal(seen["heightmap"], rounded)
+    assert th.equal(extractor(seen), extractor({**seen, "heightmap": rounded}))
 
 
 @pytest.mark.parametrize("group, n", [("cyclic", 4), ("cyclic", 8), ("dihedral", 4)])
@@ -172,28 +167,26 @@ def test_features_of_small_images_are_appended(make):
         assert not changed.any()
 
 
-def image_alone() -> gym.Env[Any, Any]:
+def image_alone():
     env = gym.make("ToyReach-v0")
     return gym.wrappers.TransformObservation(env, lambda obs: obs["heightmap"], heights(1, SIZE, SIZE))
 
 
-def with_extractor(extractor_class, **kwargs) -> dict[str, Any]:
+def with_extractor(extractor_class, **kwargs):
     classes = {"features_extractor_class": extractor_class, "features_extractor_kwargs": kwargs}
     return {**classes, "net_arch": [8]}
 
 
 EQUIVARIANT = {"n": 4, "channels": [2, 4, 4]}
-POLICY_KWARGS = {"features_extractor_kwargs": {"n": 4, "channels": [4, 4, 4]}}
+POLICY_KWARGS = {"features_extractor_kwargs": EQUIVARIANT, "action_sequence": "ryxzp"}
 
 
 @pytest.mark.parametrize(
     "algorithm, policy, policy_kwargs",
     [
         (PPO, "MultiInputPolicy", with_extractor(CnnExtractor, channels=[4, 8, 8])),
-        (SAC, "MultiInputPolicy", with_extractor(EquivariantExtractor, **EQUIVARIANT)),
         (CrossQ, "MlpPolicy", with_extractor(EquivariantExtractor, **EQUIVARIANT)),
         (SAC, MultiInputPolicy, with_extractor(CnnExtractor, channels=[4, 8, 8])),
-        (SAC, EquivariantPolicy, {**POLICY_KWARGS, "action_sequence": "ryxzp"}),
         (SAC, EquivariantPolicy, {**POLICY_KWARGS, "share_features_extractor": True}),
     ],
 )
@@ -204,8 +197,7 @@ def test_extractors_and_policies_serve_other_algorithms(algorithm, policy, polic
     settings |= {"policy_kwargs": policy_kwargs, "batch_size": 4, "seed": 0, "device": "cpu"}
     model = algorithm(policy, env, **settings)
     before = model.policy.parameters_to_vector()
-    model.learn(8)
-    after = model.policy.parameters_to_vector()
+    after = model.learn(8).policy.parameters_to_vector()
     assert np.isfinite(after).all() and not np.array_equal(after, before)
     model.save(tmp_path / "model")
     observation = model.get_env().reset()

@@ -23,7 +23,7 @@ from sb3_extensions.equivariant.layers import (
 )
 
 C4, C8, D4 = Group("cyclic", 4), Group("cyclic", 8), Group("dihedral", 4)
-GROUPS = [Group("cyclic", n) for n in (1, 2, 4, 8)] + [Group("dihedral", n) for n in (1, 2, 4, 8)]
+GROUPS = [Group("cyclic", n) for n in (1, 2, 8)] + [Group("dihedral", n) for n in (1, 4)]
 EXACT = 1e-5
 
 
@@ -32,12 +32,12 @@ def _seed():
     th.manual_seed(0)
 
 
-def mixed_type(group: Group) -> FieldType:
+def mixed_type(group):
     fields = [(group.regular, 2), (group.irrep(1), 1), (group.sign, 2), (group.trivial, 3)]
     return FieldType.of(*fields, (group.irrep(2), 1), (group.quotient(2 - group.n % 2), 1))
 
 
-def act(features: th.Tensor, field_type: FieldType, element: int) -> th.Tensor:
+def act(features, field_type, element):
     """Act on the pixels, if any, and on the channels."""
     group = field_type.group
     if features.dim() == 4:
@@ -46,34 +46,34 @@ def act(features: th.Tensor, field_type: FieldType, element: int) -> th.Tensor:
     return th.einsum("ij,bj...->bi...", th.tensor(field_type.matrix(element), dtype=features.dtype), features)
 
 
-def relative_error(found: th.Tensor, expected: th.Tensor) -> float:
+def relative_error(found, expected):
     return float((found - expected).detach().abs().max() / expected.detach().abs().max())
 
 
-def convolution(group: Group, kernel_size: int, stride: int = 1):
-    """Return a layer, the types of its fields, and images; their size is 1 for filters of one pixel."""
+def convolution(group, kernel_size, stride=1):
+    """Return a layer and its input: images of 8 pixels, or of one for filters of one pixel."""
     fields = mixed_type(group)
     layer = EquivariantConv2d(fields, fields, kernel_size, stride, padding=(kernel_size - stride % 2) // 2)
     nn.init.normal_(layer.bias)
-    return layer, fields, fields, th.randn(2, fields.size, *[1 if kernel_size == 1 else 8] * 2)
+    return layer, th.randn(2, fields.size, *[1 if kernel_size == 1 else 8] * 2)
 
 
-def dynamic_convolution(group: Group, kernel_size: int):
+def dynamic_convolution(group, kernel_size):
     fields = mixed_type(group)
     layer = DynamicEquivariantConv2d(fields, fields, kernel_size, padding=kernel_size // 2)
     coefficients = th.randn(2, layer.num_coefficients)
     image = th.randn(2, fields.size, *[1 if kernel_size == 1 else 8] * 2)
-    return lambda features: layer(features, coefficients), fields, fields, image
+    return lambda features: layer(features, coefficients), image
 
 
-def linear(group: Group):
+def linear(group):
     fields = mixed_type(group)
     layer = EquivariantLinear(fields, fields)
     nn.init.normal_(layer.bias)
-    return layer, fields, fields, th.randn(3, fields.size)
+    return layer, th.randn(3, fields.size)
 
 
-def encoder_of(group: Group, size: int = 16, **kwargs) -> EquivariantEncoder:
+def encoder_of(group, size=16, **kwargs):
     channels = (max(4, 16 // group.order),) * (count_halvings(size) + 3)
     return EquivariantEncoder(2, size, group, channels, **kwargs)
 
@@ -89,14 +89,14 @@ LAYERS = [
 @pytest.mark.parametrize("make", LAYERS, ids=lambda make: f"{make[0].__name__}{make[1:]}")
 def test_layers_commute_with_the_group(make, group):
     """On pixels with those elements that map their grid to itself."""
-    layer, in_type, out_type, features = make[0](group, *make[1:])
-    out = layer(features)
+    layer, features = make[0](group, *make[1:])
+    out, fields = layer(features), mixed_type(group)
     assert out.std() > 0
     for element in range(group.order):
         on_grid = math.isclose(math.sin(2 * group.angle(element)), 0, abs_tol=1e-9)
         if on_grid or features.dim() == 2 or features.shape[-1] == 1:
-            turned = layer(act(features, in_type, element))
-            assert relative_error(turned, act(out, out_type, element)) < EXACT, element
+            turned = layer(act(features, fields, element))
+            assert relative_error(turned, act(out, fields, element)) < EXACT, element
 
 
 @pytest.mark.parametrize(("group", "kernel_size"), [(D4, 3), (Group("cyclic", 32), 1)])
@@ -135,12 +135,7 @@ def test_initial_weights_keep_the_scale_of_a_signal_and_get_gradients():
         assert 0.5 < layer(th.randn(1, 64 * group.order, 12, 12)).square().mean() < 2
     mixed = EquivariantConv2d(mixed_type(D4), mixed_type(D4), 3)
     mixed(th.randn(2, mixed.in_type.size, 5, 5)).square().sum().backward()
-    for name, parameter in mixed.named_parameters():
-        assert parameter.grad is not None and parameter.grad.abs().sum() > 0, name
-    deep = EquivariantEncoder(2, 128, C8)
-    with th.no_grad():
-        features = deep(0.5 + 0.2 * th.rand(2, 2, 128, 128))
-    assert 0.05 < features.square().mean().sqrt() < 5
+    assert all(parameter.grad.abs().sum() > 0 for parameter in mixed.parameters())
 
 
 @pytest.mark.filterwarnings("ignore:autocast")
@@ -174,20 +169,6 @@ def test_filters_follow_the_weights(training):
     loaded.load_state_dict(th.load(buffer, weights_only=True))
     for other in (target, loaded, copy.deepcopy(online), pickle.loads(pickle.dumps(online))):
         assert th.equal(other(image), expected)
-
-
-def test_expanded_filters_can_be_nested_trained_and_interrupted():
-    network = encoder_of(C4)
-    layers = [layer for layer in network.modules() if isinstance(layer, EquivariantConv2d)]
-    with expanded_filters(network, network):
-        outer = layers[0].expanded
-        with pytest.raises(KeyError), expanded_filters(network):
-            assert layers[0].expanded is not outer
-            raise KeyError
-        assert layers[0].expanded is outer
-        network(th.rand(2, 2, 16, 16)).sum().backward()
-    assert all(layer.expanded is None for layer in layers)
-    assert all(parameter.grad is not None for parameter in network.parameters())
 
 
 @pytest.mark.parametrize("scope", [False, True])

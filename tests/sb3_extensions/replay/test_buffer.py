@@ -1,7 +1,7 @@
 """Storage, samplers and quantisation of the replay buffer compared with slow references."""
 
 import pickle
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -24,117 +24,101 @@ OBSERVATION_SPACE = spaces.Dict(
 GAMMA = 0.9
 
 
-def make_buffer(size: int = 50, n_envs: int = 1, space=OBSERVATION_SPACE, **kwargs) -> ExpertReplayBuffer:
+def make_buffer(size=50, n_envs=1, space=OBSERVATION_SPACE, **kwargs):
     actions = spaces.Box(-1, 1, (3,), np.float32)
     return ExpertReplayBuffer(size, space, actions, device="cpu", n_envs=n_envs, seed=0, **kwargs)
 
 
-def observe(ids: np.ndarray) -> dict[str, np.ndarray]:
+def observe(ids):
     """Return observations that encode a number exactly in one entry, and as brightness of the image."""
     image = np.broadcast_to((ids % 256)[:, None, None, None] / 255 * HEIGHT, (len(ids), 1, 4, 4))
     return {"image": image.astype(np.float32), "number": np.stack([ids, -ids], axis=1).astype(np.float32)}
 
 
+class Step(NamedTuple):
+    """A step from the observation with a number to that with the next number."""
+
+    number: int
+    reward: float
+    action: np.ndarray
+    terminated: bool
+    done: bool
+    success: bool
+
+
 class Player:
-    """Adds episodes to a buffer as an algorithm does, and remembers all transitions in a list."""
+    """Adds steps to a buffer as an algorithm does, and remembers those of each environment in a list."""
 
     def __init__(self, buffer):
         self.buffer, self.rng = buffer, np.random.default_rng(0)
-        self.next_id = 1000 * np.arange(1, buffer.n_envs + 1)
-        self.obs = self.next_id.copy()
-        self.transitions = []
-        self.latest = [None] * buffer.n_envs
+        self.numbers = 1000 * np.arange(1, buffer.n_envs + 1)
+        self.steps = [[] for _ in self.numbers]
 
-    def step(self, p_terminate: float = 0.1, p_truncate: float = 0.1):
+    def step(self, p_terminate=0.1, p_truncate=0.1):
         n_envs = self.buffer.n_envs
         terminated = self.rng.random(n_envs) < p_terminate
         truncated = (self.rng.random(n_envs) < p_truncate) & ~terminated
         done = terminated | truncated
-        self.next_id += 1
-        columns = {
-            "obs": self.obs,
-            "next": self.next_id.copy(),
-            "reward": self.rng.random(n_envs).astype(np.float32),
-            "action": self.rng.uniform(-1, 1, (n_envs, 3)).astype(np.float32),
-            "terminated": terminated,
-            "done": done,
-        }
-        steps = [{name: values[i] for name, values in columns.items()} for i in range(n_envs)]
-        for i, step in enumerate(steps):
-            step |= {"successor": None, "success": bool(done[i] and step["reward"] > 0.5)}
-            if (latest := self.latest[i]) is not None:
-                latest["successor"] = step
-            self.latest[i] = None if done[i] else step
-        infos = [
-            {"TimeLimit.truncated": bool(t), "is_success": step["success"]}
-            for t, step in zip(truncated, steps, strict=True)
-        ]
-        ends = observe(self.obs), observe(self.next_id)
-        self.buffer.add(*ends, columns["action"], columns["reward"], done, infos)
-        self.transitions += steps
-        self.next_id += done  # the next episode begins with another observation
-        self.obs = self.next_id.copy()
+        rewards = self.rng.random(n_envs, dtype=np.float32)
+        actions = self.rng.uniform(-1, 1, (n_envs, 3)).astype(np.float32)
+        success = done & (rewards > 0.5)
+        infos = [{"TimeLimit.truncated": t, "is_success": s} for t, s in zip(truncated, success, strict=True)]
+        self.buffer.add(observe(self.numbers), observe(self.numbers + 1), actions, rewards, done, infos)
+        columns = (self.numbers, rewards, actions, terminated, done, success)
+        for steps, *values in zip(self.steps, *columns, strict=True):
+            steps.append(Step(*values))
+        self.numbers = self.numbers + 1 + done  # the next episode begins with another observation
 
 
-def expert_episode(length: int, first: int = 100) -> tuple[Any, ...]:
+def expert_episode(length, first=100):
     actions = np.full((length, 3), 0.5, dtype=np.float32)
     terminations = np.arange(length) == length - 1
     return observe(np.arange(first, first + length + 1)), actions, np.ones(length), terminations
 
 
-def sampled_ids(tensors: dict[str, th.Tensor]) -> np.ndarray:
+def sampled_ids(tensors):
     return tensors["number"][:, 0].numpy().astype(int)
 
 
-def find_kept(player: Player, size: int) -> dict[int, dict[str, Any]]:
-    """Return the latest steps of each environment that fit into a ring of ``size`` rows."""
+def find_kept(player, size):
+    """Return the latest steps that fit into rings of ``size`` rows, each with those that follow it."""
     kept = {}
-    n_envs = player.buffer.n_envs
-    for env in range(n_envs):
-        steps = player.transitions[env::n_envs]
-        rows = 1  # of the last observation
+    for steps in player.steps:
+        rows, episode = 1, []  # a row of the last observation
         for step in reversed(steps):
             # The row after the end of an episode is free until its next step.
-            rows += 2 if step["done"] and step is not steps[-1] else 1
+            rows += 2 if step.done and step is not steps[-1] else 1
             if rows > size:
                 break
-            kept[step["obs"]] = step
+            episode = [step, *([] if step.done else episode)]
+            kept[step.number] = episode
     return kept
 
 
 @pytest.mark.parametrize(
-    ("sampler", "n_envs", "n_steps"),
-    [("uniform", 1, 1), ("uniform", 3, 3), ("prioritized", 3, 1), ("prioritized", 1, 3)],
+    ("sampler", "n_envs", "n_steps"), [("uniform", 1, 1), ("uniform", 3, 3), ("prioritized", 1, 3)]
 )
 def test_samples_equal_a_slow_reference(sampler, n_envs, n_steps):
     buffer = make_buffer(40 * n_envs + 1, n_envs, n_steps=n_steps, gamma=GAMMA, sampler=sampler)
     player = Player(buffer)
     for _ in range(200):  # several times around
         player.step()
-    reference = find_kept(player, buffer.table.ring_length)
-    assert buffer.size() == len(reference) > 20 * n_envs
+    kept = find_kept(player, buffer.table.ring_length)
+    assert buffer.size() == len(kept) > 20 * n_envs
     samples = buffer.sample(2000)
     observed = sampled_ids(samples.observations)
-    assert set(observed) == set(reference)
-    for k, obs in enumerate(observed):
-        first = last = reference[obs]
-        reward, discount = first["reward"], GAMMA
-        while last["successor"] is not None and discount > GAMMA**n_steps * 1.001:
-            last = last["successor"]
-            reward, discount = reward + discount * last["reward"], discount * GAMMA
-        assert sampled_ids(samples.next_observations)[k] == last["next"]
-        assert samples.dones[k].item() == last["terminated"]
-        np.testing.assert_allclose(samples.rewards[k].item(), reward, rtol=1e-5)
-        np.testing.assert_allclose(samples.discounts[k].item(), discount, rtol=1e-5)
-        np.testing.assert_array_equal(samples.actions[k], first["action"])
-        assert samples.succeeded[k].item() == leads_to_success(first)
-
-
-def leads_to_success(step: dict[str, Any]) -> bool:
-    """Whether the episode of a step succeeded."""
-    while step["successor"] is not None:
-        step = step["successor"]
-    return bool(step["success"])
+    assert set(observed) == set(kept)
+    episodes = [kept[number][:n_steps] for number in observed]
+    expected = {
+        "actions": [steps[0].action for steps in episodes],
+        "dones": [[steps[-1].terminated] for steps in episodes],
+        "rewards": [[sum(GAMMA**k * step.reward for k, step in enumerate(steps))] for steps in episodes],
+        "discounts": [[GAMMA ** len(steps)] for steps in episodes],
+        "succeeded": [[kept[number][-1].success] for number in observed],
+    }
+    for name, values in expected.items():
+        np.testing.assert_allclose(getattr(samples, name), values, rtol=1e-5, err_msg=name)
+    assert sampled_ids(samples.next_observations).tolist() == [steps[-1].number + 1 for steps in episodes]
 
 
 def test_memory_of_100000_steps_and_warning_without_it(monkeypatch):
@@ -151,7 +135,7 @@ def test_reset_in_the_middle_of_an_episode_ends_it():
     buffer = make_buffer(n_steps=3, gamma=GAMMA)
     player = Player(buffer)
     player.step(0, 0)
-    player.obs = player.next_id = player.next_id + 50  # as env.reset() does between two learn()
+    player.numbers += 50  # as env.reset() does between two learn()
     player.step(0, 0)
     samples = buffer.sample(100)
     first = sampled_ids(samples.observations) == 1000
@@ -165,7 +149,7 @@ def test_expert_rows_are_never_overwritten(sampler):
     buffer.add_episode(*expert_episode(4, first=100))
     buffer.add_episode(*expert_episode(3, first=200))
     player = Player(buffer)
-    expert = {(100 + k, 101 + k) for k in range(4)} | {(200 + k, 201 + k) for k in range(3)}
+    expert = {(k, k + 1) for k in (*range(100, 104), *range(200, 203))}
     for _ in range(100):
         player.step(p_terminate=0.4)
         samples = buffer.sample(200)
@@ -207,16 +191,16 @@ def test_pickles_have_used_rows_only_and_give_equal_samples():
 def test_vec_normalize(make_toy):
     env = VecNormalize(make_toy(), norm_obs_keys=["heightmap"])
     model = SAC("MultiInputPolicy", env, learning_starts=10, replay_buffer_class=ExpertReplayBuffer, seed=0)
-    model.learn(30)
-    raw = model.replay_buffer.sample(20).observations["heightmap"]
-    model.replay_buffer.seed(1)
-    a = model.replay_buffer.sample(20)
-    model.replay_buffer.seed(1)
-    b = model.replay_buffer.sample(20, env=env)
-    assert raw.min() >= 0
-    expected = env.normalize_obs({key: value.numpy() for key, value in a.observations.items()})
-    np.testing.assert_allclose(b.observations["heightmap"], expected["heightmap"], rtol=1e-6)
-    np.testing.assert_allclose(b.rewards, env.normalize_reward(a.rewards.numpy()), rtol=1e-6)
+    buffer = model.learn(30).replay_buffer
+    samples = []
+    for kwargs in {}, {"env": env}:
+        buffer.seed(1)
+        samples.append(buffer.sample(20, **kwargs))
+    raw, normalised = samples
+    assert raw.observations["heightmap"].min() >= 0
+    expected = env.normalize_obs({key: value.numpy() for key, value in raw.observations.items()})
+    np.testing.assert_allclose(normalised.observations["heightmap"], expected["heightmap"], rtol=1e-6)
+    np.testing.assert_allclose(normalised.rewards, env.normalize_reward(raw.rewards.numpy()), rtol=1e-6)
 
 
 @pytest.mark.parametrize("dtype", ["uint8", "uint16"])
@@ -241,7 +225,7 @@ def test_tensors_and_arrays_are_rounded_to_the_nearest_level(low, high, dtype):
 BATCH = 16
 
 
-def make_numbered_buffer(n_expert: int, size: int = 400, **kwargs) -> ExpertReplayBuffer:
+def make_numbered_buffer(n_expert, size=400, **kwargs):
     """Return a buffer with expert episodes of one step, numbered from 0 by their observations."""
     space = spaces.Box(-np.inf, np.inf, (1,), np.float32)
     arguments = {"device": "cpu", "seed": 0, **kwargs}
@@ -252,7 +236,7 @@ def make_numbered_buffer(n_expert: int, size: int = 400, **kwargs) -> ExpertRepl
     return buffer
 
 
-def play(buffer: ExpertReplayBuffer, n_steps: int = 1, success: bool = False):
+def play(buffer, n_steps=1, success=False):
     """Add online episodes of one step."""
     for _ in range(n_steps):
         obs = np.full((1, 1), 1000 + buffer.size(), np.float32)
@@ -274,7 +258,7 @@ def test_shares_apply_from_balanced_from_steps(options, first):
         assert online < first or samples.is_expert.sum() == BATCH // 2
 
 
-@pytest.mark.parametrize("successes, share", [(0, 0.0), (2, 0.05), (8, 0.2), (20, 0.4), (40, 0.4)])
+@pytest.mark.parametrize("successes, share", [(0, 0.0), (8, 0.2), (40, 0.4)])
 def test_successes_are_sampled_at_most_as_often_as_expert_steps(successes, share):
     """Weights correct their share: the weighted mean over online steps is the mean over all online steps."""
     sampler = {"shares": {"expert_fraction": 0.5, "success_fraction": 0.4}}
@@ -294,14 +278,14 @@ def test_successes_are_sampled_at_most_as_often_as_expert_steps(successes, share
 
 
 @pytest.fixture(params=[0.0, 0.6])
-def buffer(request) -> ExpertReplayBuffer:
+def buffer(request):
     """Buffer of a prioritized sampler with four expert steps and six online steps."""
     made = make_numbered_buffer(4, sampler={"prioritized": {"exponent": request.param}})
     play(made, 6)
     return made
 
 
-def valid_rows(buffer: ExpertReplayBuffer) -> np.ndarray:
+def valid_rows(buffer):
     return np.flatnonzero(buffer.table.columns["valid"])
 
 

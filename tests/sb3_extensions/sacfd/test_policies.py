@@ -11,7 +11,6 @@ from torch import nn
 from sb3_extensions.common.action_sequence import ActionSequence
 from sb3_extensions.encoders.extractors import CnnExtractor
 from sb3_extensions.ferm import FERM
-from sb3_extensions.sacfd import SACfD
 from sb3_extensions.sacfd.policies import EquivariantPolicy, MultiInputPolicy
 from sb3_extensions.tqcfd import TQCfD
 from sb3_extensions.tqcfd.policies import EquivariantPolicy as EquivariantTQCPolicy
@@ -19,10 +18,7 @@ from sb3_extensions.tqcfd.policies import EquivariantPolicy as EquivariantTQCPol
 EXACT = 2e-6
 SMALL = {"n": 4, "channels": [4, 4, 4]}
 SCENE = spaces.Dict(
-    {
-        "heightmap": spaces.Box(0, 0.4, (1, 16, 16), np.float32),
-        "holding": spaces.Box(0, 1, (1,), np.float32),
-    }
+    {"heightmap": spaces.Box(0, 0.4, (1, 16, 16), np.float32), "holding": spaces.Box(0, 1, (1,), np.float32)}
 )
 IN_HAND = spaces.Dict({**SCENE, "in_hand": spaces.Box(0, 0.4, (1, 8, 8), np.float32)})
 
@@ -32,7 +28,7 @@ def _seed():
     th.manual_seed(0)
 
 
-def make_policy(action_dim: int = 5, policy_class=EquivariantPolicy, extractor=SMALL, space=SCENE, **kwargs):
+def make_policy(action_dim=5, policy_class=EquivariantPolicy, extractor=SMALL, space=SCENE, **kwargs):
     """Biases differ from zero, so that a small network has no dead features."""
     action_space = spaces.Box(-1, 1, (action_dim,), np.float32)
     kwargs["features_extractor_kwargs"] = dict(extractor)
@@ -43,18 +39,18 @@ def make_policy(action_dim: int = 5, policy_class=EquivariantPolicy, extractor=S
     return policy
 
 
-def sample(space=SCENE) -> dict[str, th.Tensor]:
+def sample(space=SCENE):
     space.seed(0)
     observations = [space.sample() for _ in range(4)]
     return {key: th.from_numpy(np.stack([each[key] for each in observations])) for key in space}
 
 
-def turn_observations(observations: dict[str, th.Tensor], turns: int, mirror: bool) -> dict[str, th.Tensor]:
+def turn_observations(observations, turns, mirror):
     image = observations["heightmap"]
     return {**observations, "heightmap": th.rot90(image.flip(-1) if mirror else image, turns, (-2, -1))}
 
 
-def turn_actions(actions: th.Tensor, sequence: str, turns: int, mirror: bool) -> th.Tensor:
+def turn_actions(actions, sequence, turns, mirror):
     """A quarter turn takes (x, y) to (-y, x); the reflection, which comes first, to (x, -y), and r to -r.
 
     Of three r's, the turns (u, v) about x and y go to (-v, u) by the turn, to (-u, v) by the reflection.
@@ -79,15 +75,16 @@ def turn_actions(actions: th.Tensor, sequence: str, turns: int, mirror: bool) ->
         ("cyclic", 4, EquivariantTQCPolicy),
     ],
 )
-@pytest.mark.parametrize("sequence", ["pxyzr", "pxyz", "rpxryzr"])
-@pytest.mark.parametrize("hidden, space", [([], SCENE), ([8], IN_HAND)])
+@pytest.mark.parametrize(
+    "sequence, hidden, space", [("pxyzr", [], SCENE), ("pxyz", [8], IN_HAND), ("rpxryzr", [8], SCENE)]
+)
 def test_actor_and_critic_rotate_with_the_scene(group, n, policy_class, sequence, hidden, space):
     extractor = {**SMALL, "group": group, "n": n}
     kwargs = {"action_sequence": sequence, "net_arch": {"pi": hidden, "qf": hidden or [4]}}
     policy = make_policy(len(sequence), policy_class, extractor, space, **kwargs)
     observations, actions = sample(space), th.rand(4, len(sequence)) * 2 - 1
 
-    def q_values(*inputs) -> th.Tensor:
+    def q_values(*inputs):
         return th.stack(list(policy.critic(*inputs))).flatten(1)
 
     with th.no_grad():
@@ -146,9 +143,7 @@ def test_outputs_of_normalised_networks_do_not_grow_with_their_features(policy_c
     [
         (4, {"action_sequence": "pxyzr"}, "action_sequence .* 4 .* got 'pxyzr'"),
         (5, {"action_sequence": "pxyzq"}, "action_sequence .* got 'pxyzq'"),
-        (5, {"action_sequence": "pxxyz"}, "action_sequence .* got 'pxxyz'"),
         (6, {"action_sequence": "pxyzrr"}, "action_sequence .* got 'pxyzrr'"),
-        (4, {"action_sequence": "pxzr"}, "action_sequence .* got 'pxzr'"),
         (5, {"extractor": {**SMALL, "output": "invariant"}}, "output='regular'"),
         (5, {"extractor": {}, "features_extractor_class": CnnExtractor}, "features_extractor_class"),
         (5, {"use_sde": True}, "use_sde"),
@@ -167,10 +162,7 @@ def test_actions_without_a_vector_or_of_one_alone(sequence):
     assert policy.critic(sample(), th.rand(4, len(sequence)))[0].shape == (4, 1)
 
 
-# The average of an actor's weights.
-
-
-def weights(module: nn.Module) -> np.ndarray:
+def weights(module):
     return th.nn.utils.parameters_to_vector(module.parameters()).detach().numpy().copy()
 
 
@@ -187,10 +179,7 @@ def test_first_updates_count_alike_then_the_latest_most(make_learner):
     np.testing.assert_allclose(weights(model.policy.actor_average.module), expected, atol=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("learner", "policy"),
-    [(SACfD, "MultiInputPolicy"), (TQCfD, "EquivariantPolicy"), (FERM, "MultiInputPolicy")],
-)
+@pytest.mark.parametrize(("learner", "policy"), [(TQCfD, "EquivariantPolicy"), (FERM, "MultiInputPolicy")])
 def test_average_acts_where_actions_are_not_sampled(learner, policy, make_toy, make_learner, tmp_path):
     """The average is saved and not trained, and learning is the same with it."""
     model = make_learner(make_toy(2), learner, policy, policy_kwargs={"actor_tau": 0.25}).learn(20)

@@ -1,19 +1,14 @@
 """Spatial Q algorithms small enough for tests."""
 
-from collections.abc import Callable
-from typing import Any
-
 import pytest
 import torch as th
-from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_extensions.spatial_dqn import SDQfD, SpatialDQN
-from sb3_extensions.spatial_dqn.policies import SpatialPolicy
 
-PLAIN: dict[str, Any] = {"channels": [4, 8, 8], "in_hand_channels": [4, 4, 8]}
-EQUIVARIANT: dict[str, Any] = {"fields": [4, 4, 6], "in_hand_channels": [4, 4, 8, 8]}
-PATCHES: dict[str, Any] = {"patch_channels": [4, 4, 8, 8], "patch_hidden": [16, 8]}
-NETWORKS: dict[str, dict[str, Any]] = {
+PLAIN = {"channels": [4, 8, 8], "in_hand_channels": [4, 4, 8]}
+EQUIVARIANT = {"fields": [4, 4, 6], "in_hand_channels": [4, 4, 8, 8]}
+PATCHES = {"patch_channels": [4, 4, 8, 8], "patch_hidden": [16, 8]}
+NETWORKS = {
     "FCNPolicy": PLAIN,
     "RotFCNPolicy": PLAIN,
     "EquivariantFCNPolicy": {**EQUIVARIANT, "hidden": 16},
@@ -26,19 +21,15 @@ CASES = [
     *[(name, "pxy") for name in ("FCNPolicy", "EquivariantFCNPolicy")],
     *[(name, "pxyzrrr") for name in ("ASRPolicy", "EquivariantASRPolicy")],
 ]
-Case = tuple[str, str]
-MakeModel = Callable[..., SpatialDQN]
-MakePolicy = Callable[..., SpatialPolicy]
 
 
 @pytest.fixture(params=CASES, ids="-".join)
-def case(request: pytest.FixtureRequest) -> Case:
+def case(request):
     """A policy and an action sequence that fits."""
-    assert isinstance(request.param, tuple)
     return request.param
 
 
-def small_kwargs(name: str, sequence: str, kwargs: dict[str, Any] | None) -> dict[str, Any]:
+def small_kwargs(name, sequence, kwargs):
     """Return the arguments of a small policy."""
     grid = {"num_rotations": 4, "num_heights": 4, "num_tilts": 3}
     own = {"action_sequence": sequence, "codec_kwargs": grid, "network_kwargs": NETWORKS[name]}
@@ -46,36 +37,28 @@ def small_kwargs(name: str, sequence: str, kwargs: dict[str, Any] | None) -> dic
 
 
 @pytest.fixture
-def make_policy(make_picking: Callable[..., VecEnv]) -> MakePolicy:
+def make_policy(make_picking):
     """Makes a policy: ``make_policy(name, sequence, env, network_kwargs, **kwargs)``."""
 
-    def make(
-        name: str,
-        sequence: str = "pxyr",
-        env: Any = None,
-        network_kwargs: dict[str, Any] | None = None,
-        **kwargs: Any,
-    ) -> SpatialPolicy:
+    def make(name, sequence="pxyr", env=None, network_kwargs=None, **kwargs):
         th.manual_seed(0)
         env = make_picking(action_sequence=sequence) if env is None else env
         spaces = {"observation_space": env.observation_space, "action_space": env.action_space}
         networks = {"network_kwargs": {**NETWORKS[name], **(network_kwargs or {})}}
         arguments = small_kwargs(name, sequence, {**spaces, **networks, **kwargs})
-        policy = SpatialDQN.policy_aliases[name](lr_schedule=lambda _: 1e-3, **arguments)
-        assert isinstance(policy, SpatialPolicy)
-        return policy
+        return SpatialDQN.policy_aliases[name](lr_schedule=lambda _: 1e-3, **arguments)
 
     return make
 
 
 @pytest.fixture
-def policy(case: Case, make_policy: MakePolicy) -> SpatialPolicy:
+def policy(case, make_policy):
     """Small policy of each case."""
     return make_policy(*case)
 
 
 @pytest.fixture
-def scenes(case: Case) -> dict[str, th.Tensor]:
+def scenes(case):
     """Twenty observations of blocks; every other gripper holds something."""
     generator = th.Generator().manual_seed(0)
     heightmap = 0.1 * th.rand(20, 1, 32, 32, generator=generator)
@@ -86,16 +69,10 @@ def scenes(case: Case) -> dict[str, th.Tensor]:
 
 
 @pytest.fixture
-def make_model(make_picking: Callable[..., VecEnv]) -> MakeModel:
+def make_model(make_picking):
     """Makes an algorithm: ``make_model(case, algorithm, env, policy_kwargs, **kwargs)``."""
 
-    def make(
-        case: Case = ("ASRPolicy", "pxyr"),
-        algorithm: type[SpatialDQN] = SDQfD,
-        env: VecEnv | None = None,
-        policy_kwargs: dict[str, Any] | None = None,
-        **kwargs: Any,
-    ) -> SpatialDQN:
+    def make(case=("ASRPolicy", "pxyr"), algorithm=SDQfD, env=None, policy_kwargs=None, **kwargs):
         policy, sequence = case
         kwargs = {"expert_episodes": 3, "batch_size": 4, "buffer_size": 200, "seed": 0, **kwargs}
         env = make_picking(action_sequence=sequence, size=24) if env is None else env

@@ -2,7 +2,6 @@
 
 import itertools
 import math
-from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -11,7 +10,7 @@ import torch as th
 
 import bulletarm_gym  # noqa: F401  registers the environments
 from sb3_extensions.replay.samples import ExpertReplayBufferSamples
-from sb3_extensions.spatial_dqn.augmentation import SHIFT, RigidMotion
+from sb3_extensions.spatial_dqn.augmentation import RigidMotion
 from sb3_extensions.spatial_dqn.codec import SpatialActionCodec
 from sb3_extensions.spatial_dqn.projections import rotation_matrices
 
@@ -19,17 +18,17 @@ THETA_BOUNDS = [(0.0, math.pi), (-math.pi, math.pi), (-math.pi / 2, math.pi / 2)
 SIDE = 6
 
 
-def make_codec(sequence: str, **kwargs) -> SpatialActionCodec:
+def make_codec(sequence, **kwargs):
     return SpatialActionCodec(SIDE, sequence, num_rotations=4, num_heights=5, num_tilts=3, **kwargs)
 
 
-def slowly_encoded(codec: SpatialActionCodec, action: np.ndarray) -> list[int]:
+def slowly_encoded(codec, action):
     """Number by number: the place of the grid that is the fewest metres or radians away."""
     value = dict(zip(codec.numbers, action.tolist(), strict=True))
     middles = [(2 * i + 1) / SIDE - 1 for i in range(SIDE)]
     indices = [int(np.argmin([abs(value[name] - middle) for middle in middles])) for name in "xy"]
-    ranges = {"z": (0.0, 0.3), "theta": codec.theta_bounds, "phi": (-math.pi / 4, math.pi / 4)}
-    ranges["psi"] = ranges["phi"]
+    tilts = (-math.pi / 4, math.pi / 4)
+    ranges = {"z": (0.0, 0.3), "theta": codec.theta_bounds, "phi": tilts, "psi": tilts}
     flipped = False
     for name, grid in codec.grids.items():
         low, high = ranges[name]
@@ -81,8 +80,9 @@ def test_order_of_indices_and_default_grid():
         np.testing.assert_allclose(np.degrees(codec.grids[name]), [-30, -20, -10, 0, 10, 20, 30], atol=1e-9)
 
 
-@pytest.mark.parametrize("half_rotation", [True, False])
-@pytest.mark.parametrize("sequence", ["xy", "xyrp", "pxyzrrr"])
+@pytest.mark.parametrize(
+    ("sequence", "half_rotation"), [("xy", True), ("xyrp", False), ("pxyzrrr", True), ("pxyzrrr", False)]
+)
 def test_decoded_actions_match_the_environment(sequence, half_rotation):
     kwargs = {"obs_size": 16, "workspace": [[0.3, 0.6], [-0.1, 0.2], [0.0, 1.0]], "num_objects": 2}
     kwargs |= {"action_sequence": sequence, "half_rotation": half_rotation}
@@ -107,58 +107,49 @@ def test_decoded_actions_match_the_environment(sequence, half_rotation):
     env.close()
 
 
-SIZE, YAWS = 20, 6
-BATCH = 64
-ROWS = np.arange(BATCH)
+SIZE, YAWS, BATCH = 20, 6, 400
 
 
-def make_motion(sequence: str = "pxyzrrr") -> RigidMotion:
-    codec = SpatialActionCodec(SIZE, sequence, num_rotations=YAWS, num_heights=4, num_tilts=5)
+@pytest.fixture
+def motion():
+    codec = SpatialActionCodec(SIZE, "pxyzrrr", num_rotations=YAWS, num_heights=4, num_tilts=5)
     return RigidMotion(codec, "heightmap")
 
 
-def random_indices(motion: RigidMotion, low: int = 0, high: int = SIZE, count: int = BATCH) -> th.Tensor:
+def random_indices(motion, low=0, high=SIZE):
     """Of pixels from ``low`` to ``high``, and anything else."""
-    generator = th.Generator().manual_seed(1)
-    shape = [th.randint(n, (count,), generator=generator) for n in motion.codec.shape]
-    pixels = [th.randint(low, high, (count,), generator=generator) for _ in range(2)]
-    return th.stack([*pixels, *shape[2:]], dim=1)
+    ranges = [(low, high), (low, high), *((0, count) for count in motion.codec.shape[2:])]
+    return th.as_tensor(np.stack([np.random.default_rng(1).integers(*limits, BATCH) for limits in ranges], 1))
 
 
-def make_samples(heightmaps: th.Tensor, after: th.Tensor | None = None) -> ExpertReplayBufferSamples:
-    count, generator = len(heightmaps), th.Generator().manual_seed(2)
-    numbers = [th.rand(count, 1, generator=generator) for _ in range(9)]
-    first, second = (
-        {"heightmap": images, "in_hand": th.rand(count, 1, 6, 6), "holding": th.rand(count, 1).round()}
-        for images in (heightmaps, heightmaps if after is None else after)
-    )
-    return ExpertReplayBufferSamples(first, numbers[0], second, *numbers[1:])
+def make_samples(before, after):
+    others = {"in_hand": th.rand(BATCH, 1, 6, 6), "holding": th.rand(BATCH, 1).round()}
+    first, second = ({"heightmap": images, **others} for images in (before, after))
+    return ExpertReplayBufferSamples(first, th.rand(BATCH, 1), second, *th.rand(8, BATCH, 1))
 
 
-def move(motion: RigidMotion, samples, indices: th.Tensor, seed: int = 0) -> tuple[Any, th.Tensor]:
+def move(motion, samples, indices):
+    """By a motion of the passed generator alone; in-hand images and rewards stay."""
     actions = th.as_tensor(motion.codec.decode(indices.numpy(), np.zeros(len(indices), bool)))
-    by_index = motion.move(samples, indices, th.Generator().manual_seed(seed))
-    by_action = motion(samples._replace(actions=actions), th.Generator().manual_seed(seed))
+    state = th.get_rng_state()
+    by_index = motion.move(samples, indices, th.Generator().manual_seed(0))
+    by_action = motion(samples._replace(actions=actions), th.Generator().manual_seed(0))
     assert np.array_equal(motion.codec.encode(by_action.actions.numpy()), by_index[1].numpy())
+    assert th.equal(state, th.get_rng_state()) and by_index[0].rewards is samples.rewards
+    for name in ("in_hand", "holding"):
+        assert by_index[0].next_observations[name] is samples.next_observations[name]
     return by_index
 
 
-def images_around_the_middle() -> th.Tensor:
-    images = th.zeros(BATCH, 1, SIZE, SIZE)
-    images[:, :, 6:14, 6:14] = 0.02 + 0.1 * th.rand(BATCH, 1, 8, 8, generator=th.Generator().manual_seed(0))
-    return images
-
-
-def test_grippers_and_objects_rotate_with_the_scene(monkeypatch):
+def test_grippers_and_objects_rotate_with_the_scene(motion, monkeypatch):
     """Poses of the gripper are modulo pi."""
-    motion = make_motion()
     indices, turns = random_indices(motion, 5, 15), th.arange(BATCH) % (2 * YAWS)
     shifts = th.tensor([[1.0, 2.0]]).expand(BATCH, 2)
     monkeypatch.setattr(motion, "_sample_motions", lambda *args: (turns, shifts))
     row, column = np.ogrid[:SIZE, :SIZE]
     away = np.hypot(row - indices[:, 0, None, None].numpy(), column - indices[:, 1, None, None].numpy())
     images = th.as_tensor(0.1 * np.exp(-away / 4), dtype=th.float32)[:, None]
-    moved, moved_indices = move(motion, make_samples(images), indices)
+    moved, moved_indices = move(motion, make_samples(images, images), indices)
     highest = moved.observations["heightmap"].flatten(1).argmax(dim=1)
     found = th.stack([highest // SIZE, highest % SIZE], dim=1)
     assert (found - moved_indices[:, :2]).abs().max() <= 1
@@ -176,75 +167,35 @@ def test_grippers_and_objects_rotate_with_the_scene(monkeypatch):
     assert th.equal(flipped, (indices[:, 2] + turns) // YAWS % 2 == 1)
 
 
-def test_only_heightmaps_and_indices_move():
-    """By motions of the passed generator alone."""
-    motion, images = make_motion(), images_around_the_middle()
-    samples, indices = make_samples(images), random_indices(motion, 6, 14)
-    state = th.get_rng_state()
-    moved, moved_indices = move(motion, samples, indices)
-    assert th.equal(images, images_around_the_middle()) and th.equal(state, th.get_rng_state())
-    for name in ("in_hand", "holding"):
-        assert moved.next_observations[name] is samples.next_observations[name]
-    assert moved.rewards is samples.rewards and not th.equal(moved_indices, indices)
-    again, other = (move(motion, samples, indices, seed)[0].observations["heightmap"] for seed in (0, 1))
-    assert th.equal(again, moved.observations["heightmap"]) and not th.equal(again, other)
-
-
-def test_objects_stay_in_the_image():
+def test_objects_stay_in_the_image(motion):
     """Of a block of 3 x 3 pixels before, another after, and the gripper's pixel, wherever they are."""
-    motion, generator = make_motion(), np.random.default_rng(0)
-    count = 400
-    images = th.zeros(2, count, 1, SIZE, SIZE)
-    for image in images.flatten(0, 2):
-        row, column = generator.integers(0, SIZE - 2, size=2)
+    images = th.zeros(2, BATCH, 1, SIZE, SIZE)
+    corners = np.random.default_rng(0).integers(0, SIZE - 2, size=(2 * BATCH, 2))
+    for image, (row, column) in zip(images.flatten(0, 2), corners, strict=True):
         image[row : row + 3, column : column + 3] = 0.05
-    indices = random_indices(motion, count=count)
-    indices[::10, :2] = images[0, ::10, 0].flatten(1).argmax(dim=1)[:, None] // th.tensor([SIZE, 1]) % SIZE
+    indices = random_indices(motion)
+    indices[::10, :2] = th.as_tensor(corners[:BATCH:10])  # in the block, which it must not leave
     moved, moved_indices = move(motion, make_samples(*images), indices)
     for observations in (moved.observations, moved.next_observations):
         areas = (observations["heightmap"] > 0).flatten(1).sum(dim=1)
         assert areas.min() >= 7 and areas.max() <= 12
-    turned = (moved_indices[:, :2] != indices[:, :2]).any(dim=1)
-    assert turned.float().mean() > 0.8
-    # Where the pixel itself is in the block, it still is
-    inside = images[0][np.arange(count), 0, indices[:, 0], indices[:, 1]] > 0
-    assert inside.any()
-    around = th.nn.functional.max_pool2d(moved.observations["heightmap"], 3, 1, 1)[:, 0]
-    assert (around[np.arange(count), moved_indices[:, 0], moved_indices[:, 1]][inside] > 0).all()
+    assert (moved_indices[:, :2] != indices[:, :2]).any(dim=1).float().mean() > 0.8
+    around = th.nn.functional.max_pool2d(moved.observations["heightmap"], 3, 1, 1)[::10, 0]
+    rows, columns = moved_indices[::10, :2].T
+    assert (around[np.arange(BATCH // 10), rows, columns] > 0).all()
 
 
-def test_full_images_rotate_by_90_degrees_only():
-    images = 0.05 + 0.1 * th.rand(BATCH, 1, SIZE, SIZE, generator=th.Generator().manual_seed(0))
-    indices = random_indices(make_motion())
-    moved, moved_indices = move(make_motion(), make_samples(images), indices)
+def test_full_images_rotate_by_90_degrees_only(motion):
+    images, indices = 0.05 + 0.1 * th.rand(BATCH, 1, SIZE, SIZE), random_indices(motion)
+    moved, moved_indices = move(motion, make_samples(images, images), indices)
+    after, turns = moved.observations["heightmap"], []
+    for first, second in zip(images, after, strict=True):
+        [turned] = [k for k in range(4) if np.array_equal(np.rot90(first, k, axes=(1, 2)), second)]
+        turns.append(turned)
     quarters = (moved_indices[:, 2] - indices[:, 2]) % YAWS * 2 // YAWS  # or two more
-    seen = []
-    for before, after, odd in zip(images, moved.observations["heightmap"], quarters.tolist(), strict=True):
-        [turned] = [k for k in range(4) if np.array_equal(np.rot90(before, k, axes=(1, 2)), after)]
-        assert turned % 2 == odd
-        seen.append(turned)
-    assert 0.2 < np.mean(np.array(seen) > 0) < 1.0 and set(seen) == {0, 1, 2, 3}
-    heights = moved.observations["heightmap"][ROWS, 0, moved_indices[:, 0], moved_indices[:, 1]]
-    assert th.equal(heights, images[ROWS, 0, indices[:, 0], indices[:, 1]])
-
-
-def test_motions_have_all_rotations_and_shifts():
-    """Nothing stands: only the pixel, in the middle, is to stay in view."""
-    motion, count = make_motion(), 2000
-    indices = th.zeros(count, 6, dtype=th.int64)
-    indices[:, :2] = SIZE // 2
-    _, moved_indices = move(motion, make_samples(th.zeros(count, 1, SIZE, SIZE)), indices)
-    yaws = np.bincount(moved_indices[:, 2], minlength=YAWS)
-    assert yaws.min() > 0.7 * count / YAWS
-    shifts = (moved_indices[:, :2] - (SIZE - 1) / 2).numpy()
-    np.testing.assert_allclose(shifts.mean(axis=0), 0.0, atol=0.15)
-    np.testing.assert_allclose(shifts.std(axis=0), math.hypot(SHIFT * SIZE, 0.5), rtol=0.15)
-
-
-def test_without_yaws_heightmaps_only_shift():
-    images, motion = images_around_the_middle(), make_motion("pxy")
-    indices = random_indices(motion, 6, 14)
-    moved, moved_indices = move(motion, make_samples(images), indices)
-    for k, shift in enumerate(moved_indices - indices):
-        expected = np.roll(images[k], shift, axis=(1, 2))
-        np.testing.assert_array_equal(moved.observations["heightmap"][k], expected)
+    assert set(turns) == {0, 1, 2, 3} and quarters.tolist() == [turned % 2 for turned in turns]
+    heights = [
+        scene[np.arange(BATCH), 0, pixels[:, 0], pixels[:, 1]]
+        for scene, pixels in ((images, indices), (after, moved_indices))
+    ]
+    assert th.equal(*heights)

@@ -1,7 +1,6 @@
 """Policies of spatial Q algorithms: actions on the grid, files, exported programs, untrained values."""
 
 import functools
-from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -46,11 +45,9 @@ def test_saved_policy_has_the_same_actions(policy, scenes, tmp_path):
     for name, value in policy._get_constructor_parameters().items():
         assert name == "lr_schedule" or loaded._get_constructor_parameters()[name] == value, name
     vector = policy.parameters_to_vector()
-    loaded.load_from_vector(np.arange(len(vector), dtype=np.float32))
-    np.testing.assert_array_equal(loaded.parameters_to_vector(), np.arange(len(vector)))
+    loaded.load_from_vector(np.zeros(len(vector), np.float32))
     loaded.load_from_vector(vector)
-    for name, value in policy.state_dict().items():
-        assert th.equal(value, loaded.state_dict()[name]), name
+    assert th.equal(policy(scenes), loaded(scenes))
     for parameter in loaded.parameters():
         assert parameter.dim() != 4 or parameter.is_contiguous(memory_format=th.channels_last)
     pairs = zip(policy.q_net.parameters(), policy.q_net_target.parameters(), strict=True)
@@ -59,54 +56,47 @@ def test_saved_policy_has_the_same_actions(policy, scenes, tmp_path):
     assert policy.q_net.training and not policy.q_net_target.training
 
 
-def one_by_one(scenes: Scenes) -> list[Scenes]:
+def one_by_one(scenes):
     return [{name: part[[k]] for name, part in sorted(scenes.items())} for k in range(10)]
 
 
-EXPORTED = [
-    ("FCNPolicy", "pxy"),
-    ("RotFCNPolicy", "pxyr"),
-    ("EquivariantFCNPolicy", "pxyr"),
-    ("ASRPolicy", "pxyzrrr"),
-    pytest.param(("EquivariantASRPolicy", "pxyzrrr"), marks=pytest.mark.slow),
-]
-each_exported_policy = pytest.mark.parametrize("case", EXPORTED, indirect=True, ids=str)
-
-
-@each_exported_policy
+@pytest.mark.parametrize(
+    "case",
+    [
+        ("EquivariantFCNPolicy", "pxyr"),
+        ("ASRPolicy", "pxyr"),
+        pytest.param(("RotFCNPolicy", "pxyr"), marks=pytest.mark.slow),
+        pytest.param(("ASRPolicy", "pxyzrrr"), marks=pytest.mark.slow),
+        pytest.param(("EquivariantASRPolicy", "pxyzrrr"), marks=pytest.mark.slow),
+    ],
+    indirect=True,
+    ids=str,
+)
 @pytest.mark.filterwarnings("ignore")
-def test_exported_and_traced_programs_have_the_actions_of_the_policy(policy, scenes):
+def test_exported_programs_have_the_actions_of_the_policy(policy, scenes, tmp_path):
+    """With torch.export, torch.jit, and, if it is installed, ONNX Runtime."""
     policy.set_training_mode(False)
     first, *others = one_by_one(scenes)
     with th.no_grad():
-        program = th.export.export(policy, (first,)).module()
+        program = th.export.export(policy, (first,))
         traced = th.jit.trace(policy, (first,), check_trace=False, strict=False)
         actions = [policy(scene) for scene in (first, *others)]
-        for scene, action in zip((first, *others), actions, strict=True):
-            th.testing.assert_close(program(scene), action)
-            th.testing.assert_close(traced(scene), action)
-    assert len({tuple(action[0].tolist()) for action in actions}) > 1
-
-
-@each_exported_policy
-@pytest.mark.filterwarnings("ignore")
-def test_onnx_model_has_the_actions_of_the_policy(policy, scenes, tmp_path):
+        for exported in (program.module(), traced):
+            found = [exported(scene) for scene in (first, *others)]
+            th.testing.assert_close(th.cat(found), th.cat(actions))
+    assert len(th.cat(actions).unique(dim=0)) > 1
     pytest.importorskip("onnxscript")
     onnxruntime = pytest.importorskip("onnxruntime")
-    policy.set_training_mode(False)
-    with th.no_grad():
-        program = th.export.export(policy, (one_by_one(scenes)[0],))
-        th.onnx.export(program, f=tmp_path / "policy.onnx", verbose=False)
-        session = onnxruntime.InferenceSession(str(tmp_path / "policy.onnx"))
-        names = [node.name for node in session.get_inputs()]
-        for scene in one_by_one(scenes):
-            inputs = dict(zip(names, (value.numpy() for value in scene.values()), strict=True))
-            [action] = session.run(None, inputs)
-            np.testing.assert_allclose(action, policy(scene).numpy(), atol=1e-6)
+    th.onnx.export(program, f=tmp_path / "policy.onnx", verbose=False)
+    session = onnxruntime.InferenceSession(str(tmp_path / "policy.onnx"))
+    names = [node.name for node in session.get_inputs()]
+    for scene, action in zip((first, *others), actions, strict=True):
+        inputs = dict(zip(names, (value.numpy() for value in scene.values()), strict=True))
+        np.testing.assert_allclose(session.run(None, inputs)[0], action, atol=1e-6)
 
 
 @functools.cache
-def real_observations(sequence: str) -> tuple[Any, dict[str, th.Tensor]]:
+def real_observations(sequence):
     """Return the environment and observations before and after a pick of the expert."""
     env_id = f"BulletArm/OpenLoop{'Ramp' if 'rrr' in sequence else ''}BlockStacking-v0"
     env = gym.make(env_id, obs_size=48, in_hand_size=12, action_sequence=sequence)
@@ -119,12 +109,11 @@ def real_observations(sequence: str) -> tuple[Any, dict[str, th.Tensor]]:
     return env, {key: th.as_tensor(np.stack([one[key] for one in seen])) for key in seen[0]}
 
 
-@pytest.mark.parametrize("standardise", [(0.0, 1.0), (0.05, 0.01)])
-def test_untrained_values_are_small_and_not_rounded_to_bfloat16(case, standardise, make_policy, monkeypatch):
+def test_untrained_values_are_small_and_not_rounded_to_bfloat16(case, make_policy, monkeypatch):
     """Values rounded to bfloat16 are equal at several pixels, so that the best one is arbitrary."""
     monkeypatch.setattr("sb3_extensions.encoders.cnn.has_bf16", lambda device_type: True)
     env, observations = real_observations(case[1])
-    policies = [make_policy(*case, env, standardise=standardise, autocast=dtype) for dtype in (None, "bf16")]
+    policies = [make_policy(*case, env, standardise=(0.05, 0.01), autocast=dtype) for dtype in (None, "bf16")]
     exact, rounded = (policy.q_net for policy in policies)
     with th.no_grad():
         indices, _ = exact.greedy(observations)
@@ -136,7 +125,7 @@ def test_untrained_values_are_small_and_not_rounded_to_bfloat16(case, standardis
         assert (values != values.bfloat16().float()).float().mean() > 0.5
 
 
-@pytest.mark.parametrize("side", [6, 11, 20, 41])
+@pytest.mark.parametrize("side", [6, 20, 41])
 def test_in_hand_images_of_any_size(side, make_picking, make_policy):
     env = make_picking(2, in_hand_size=side)
     for name in SpatialDQN.policy_aliases:

@@ -16,7 +16,6 @@ from sb3_extensions.encoders.patch_encoders import LAST_SIDE, LAST_SIDE_OF_PIXEL
 from sb3_extensions.encoders.unet import equivariant_unet, plain_unet
 from sb3_extensions.equivariant.groups import Group
 from sb3_extensions.spatial_dqn.asr_heads import PATCH_STAGES, DeicticLevel
-from sb3_extensions.spatial_dqn.codec import SpatialActionCodec
 from sb3_extensions.spatial_dqn.patches import crop_patches, rotate_images
 from sb3_extensions.spatial_dqn.pixel_maps import EquivariantPixelMaps, RotatedPixelMaps
 
@@ -37,11 +36,11 @@ def test_maps_before_linear_layers_are_as_large_as_the_authors(size, side, side_
 
 
 @pytest.fixture
-def images() -> th.Tensor:
+def images():
     return 0.4 * th.rand(len(ROWS), 2, IMAGE_SIDE, IMAGE_SIDE, generator=th.Generator().manual_seed(0))
 
 
-def rotated_by_90(images: th.Tensor) -> tuple[th.Tensor, th.Tensor, th.Tensor]:
+def rotated_by_90(images):
     """Return images rotated by 90 degrees, and the rows and columns of the test pixels in them."""
     return th.rot90(images, k=1, dims=(-2, -1)), IMAGE_SIDE - 1 - COLUMNS, ROWS
 
@@ -75,7 +74,7 @@ def _seed():
     th.manual_seed(0)
 
 
-def make_view(size: int, batch: int = 4) -> View:
+def make_view(size, batch=4):
     """Random images; every other gripper holds something."""
     image = th.rand(batch, 1, size, size)
     return View(image, image[:, 0], th.randn(batch, 1, SIDE, SIDE), th.arange(batch) % 2 == 1)
@@ -134,7 +133,7 @@ def test_widths_are_the_authors():
 SIZE, SIDE = 32, 12
 
 
-def random_indices(codec: SpatialActionCodec, count: int = 20) -> th.Tensor:
+def random_indices(codec, count=20):
     """Return pixels inside the block and random other indices."""
     th.manual_seed(0)
     pixels = [th.randint(10, 22, (count,)) for _ in range(2)]
@@ -142,31 +141,19 @@ def random_indices(codec: SpatialActionCodec, count: int = 20) -> th.Tensor:
 
 
 def test_greedy_is_the_best_choice_at_every_level(policy, scenes):
-    """Compare with NumPy for each level, and with the values of all levels for the chosen indices."""
+    """Of the values of each level for the choices at the levels before it."""
     network = policy.q_net
-    indices, values = network.greedy(scenes)
+    indices, best = network.greedy(scenes)
     assert indices.shape == (20, len(network.codec.shape)) and indices.dtype == th.int64
     with th.no_grad():
-        view = network.scene_view(scenes)
-        maps, encoding = network.pixel_maps(view)
-        yaws = maps.shape[1]
-        best = maps.flatten(1).amax(dim=1).numpy()
-        flat = [np.unravel_index(each.argmax(), each.shape) for each in maps.numpy()]
-        chosen = [[row, column, yaw][: 2 + (yaws > 1)] for yaw, row, column in flat]
-        for level in network.levels:
-            found = level(view, encoding, th.tensor(np.array(chosen))).numpy()
-            chosen = [[*before, row.argmax()] for before, row in zip(chosen, found, strict=True)]
-            best = found.max(axis=1)
-        at_once = network.values(scenes, indices)
-    np.testing.assert_array_equal(indices, chosen)
-    np.testing.assert_allclose(values, best, rtol=1e-5, atol=1e-8)
-    sizes = [yaws * SIZE**2, *network.codec.shape[2 + (yaws > 1) :]]
-    assert [tuple(level.shape) for level in at_once] == [(20, size) for size in sizes]
-    for level_values, choice in zip(at_once, network.choices(indices), strict=True):
-        assert level_values.dtype == th.float32
-        best = level_values.gather(1, choice[:, None])[:, 0]
-        th.testing.assert_close(best, level_values.amax(dim=1), rtol=1e-5, atol=1e-8)
-    th.testing.assert_close(best, values, rtol=1e-5, atol=1e-8)
+        levels = network.values(scenes, indices)
+    in_first = 2 + (len(network.levels) < len(network.codec.grids))  # pixels, or pixels and yaws
+    sizes = [math.prod(network.codec.shape[:in_first]), *network.codec.shape[in_first:]]
+    assert [tuple(level.shape) for level in levels] == [(20, size) for size in sizes]
+    for level, choice in zip(levels, network.choices(indices), strict=True):
+        values = level.gather(1, choice[:, None])[:, 0]
+        th.testing.assert_close(values, level.amax(dim=1), rtol=1e-5, atol=1e-8)
+    th.testing.assert_close(values, best, rtol=1e-5, atol=1e-8)
 
 
 def test_levels_depend_on_earlier_choices_and_the_view(policy, scenes):
@@ -178,7 +165,7 @@ def test_levels_depend_on_earlier_choices_and_the_view(policy, scenes):
     with th.no_grad():
         values = network.values(scenes, indices)
 
-        def changed(others) -> list[bool]:
+        def changed(others):
             return [not th.equal(a, b) for a, b in zip(values, others, strict=True)]
 
         for place in range(indices.shape[1]):

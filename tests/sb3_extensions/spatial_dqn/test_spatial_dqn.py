@@ -20,16 +20,16 @@ MARGIN = 0.125  # exact in binary, as are the multiples of it that make ties
 BATCH, CHOICES = 12, 7
 
 
-def slow_strict_margin(row: np.ndarray, chosen: int, level: int) -> float:
+def slow_strict_margin(row, chosen, level):
     above = [q - row[chosen] + MARGIN for a, q in enumerate(row) if a != chosen and q > row[chosen] - MARGIN]
     return float(np.mean(above)) if above else 0.0
 
 
-def slow_large_margin(row: np.ndarray, chosen: int, level: int) -> float:
+def slow_large_margin(row, chosen, level):
     return float(max(q + MARGIN * (a != chosen) for a, q in enumerate(row)) - row[chosen])
 
 
-def slow_cross_entropy(row: np.ndarray, chosen: int, level: int) -> float:
+def slow_cross_entropy(row, chosen, level):
     logits = (100.0 if level == 0 else 1.0) * row
     return float(logits.max() + math.log(np.exp(logits - logits.max()).sum()) - logits[chosen])
 
@@ -45,7 +45,7 @@ each_loss = pytest.mark.parametrize(
 )
 
 
-def make_batch(kind: str) -> tuple[th.Tensor, th.Tensor, th.Tensor]:
+def make_batch(kind):
     """Values (float64), choices, and whether they are the expert's."""
     generator = th.Generator().manual_seed(0)
     values = th.randn(BATCH, CHOICES, generator=generator, dtype=th.float64) * 0.2
@@ -79,11 +79,17 @@ def test_gradients_of_extreme_values_are_finite(loss, slow, mean_of_all):
     assert result.isfinite() and gradient.isfinite().all()
 
 
-ALGORITHMS = [SpatialDQN, ADET, DQfD, SDQfD]
+# Their imitation losses, and their weights in the paper
+ALGORITHMS = {
+    SpatialDQN: (None, None),
+    ADET: (cross_entropy, 0.01),
+    DQfD: (large_margin, 0.1),
+    SDQfD: (strict_margin, 0.1),
+}
 ASR, ASR_6D = ("ASRPolicy", "pxyr"), ("EquivariantASRPolicy", "pxyzrrr")
 
 
-def parameters(module) -> dict[str, np.ndarray]:
+def parameters(module):
     return {name: value.detach().numpy().copy() for name, value in module.named_parameters()}
 
 
@@ -93,31 +99,19 @@ def assert_equal(first, second):
         np.testing.assert_array_equal(value, second[name], err_msg=name)
 
 
-def is_on_grid(model: SpatialDQN, actions: np.ndarray) -> bool:
+def is_on_grid(model, actions):
     return np.array_equal(model.codec.snap(actions), actions)
-
-
-def test_training_runs(case, make_model):
-    model = make_model(case, expert_episodes=2).learn(2)
-    assert model.num_timesteps == model._n_updates == 2
-    assert model.replay_buffer.size() == model.replay_buffer.expert_size + 2
-    assert all(np.isfinite(value).all() for value in parameters(model.q_net).values())
-    logged = [name for name in model.logger.name_to_value if "imitation_loss" in name]
-    assert len(logged) == len(model.q_net.levels) + 1
-    assert is_on_grid(model, model.replay_buffer.steps("action"))
-    assert all(parameter.grad is None for parameter in model.q_net_target.parameters())
 
 
 @pytest.mark.parametrize(
     "kwargs",
     [
         {"exploration_initial_eps": 0.5, "exploration_final_eps": 0.2, "augmentation": "rigid_motion"},
-        {"learning_starts": 10, "algorithm": ADET, "case": ASR_6D},
-        {"replay_buffer_kwargs": {"sampler": "prioritized"}, "n_steps": 2},
+        {"case": ("ASRPolicy", "pxyzrrr"), "replay_buffer_kwargs": {"sampler": "prioritized"}},
     ],
 )
 def test_training_is_deterministic_and_can_be_resumed(kwargs, make_picking, make_model, tmp_path):
-    def make_env(seed: int):
+    def make_env(seed):
         return make_picking(2, seed, size=24, action_sequence=kwargs.get("case", ASR)[1])
 
     def make():
@@ -137,20 +131,19 @@ def test_training_is_deterministic_and_can_be_resumed(kwargs, make_picking, make
     np.testing.assert_array_equal(*samples)
 
 
-def one_update(model: SpatialDQN, **changes):
+def one_update(model, **changes):
     """One gradient step on one sample, which it returns."""
-    assert model.replay_buffer is not None
     sample = model.replay_buffer.sample(8)._replace(**changes)
     model.replay_buffer.sample = lambda *args, **kwargs: sample
     model.train(1, 8)
     return sample
 
 
-def huber(error: float) -> float:
+def huber(error):
     return 0.5 * error**2 if abs(error) < 1 else abs(error) - 0.5
 
 
-def copy_of(model: SpatialDQN, name: str):
+def copy_of(model, name):
     network = model.policy.make_q_net()
     network.load_state_dict(getattr(model, name).state_dict())
     return network
@@ -158,7 +151,7 @@ def copy_of(model: SpatialDQN, name: str):
 
 @pytest.mark.parametrize(
     ("algorithm", "which"),
-    [*((algorithm, ASR) for algorithm in ALGORITHMS), (SDQfD, ("FCNPolicy", "pxyr")), (SDQfD, ASR_6D)],
+    [*((algorithm, ASR) for algorithm in ALGORITHMS), (SDQfD, ("RotFCNPolicy", "pxyr")), (SDQfD, ASR_6D)],
 )
 def test_losses_equal_a_slow_reference(algorithm, which, make_model):
     """All levels have one target: the value of the greedy action at the last level of the target network."""
@@ -178,7 +171,7 @@ def test_losses_equal_a_slow_reference(algorithm, which, make_model):
         indices = th.as_tensor(model.codec.encode(sample.actions.numpy()))
         levels = network.values(sample.observations, indices)
     expected = {"loss": 0.0}
-    imitation = {ADET: cross_entropy, DQfD: large_margin, SDQfD: strict_margin}.get(algorithm)
+    imitation, weight = ALGORITHMS[algorithm]
     for place, (values, choices) in enumerate(zip(levels, network.choices(indices), strict=True)):
         errors = [values[k, choices[k]].item() - targets[k] for k in range(8)]
         td_loss = np.mean([w * huber(error) for w, error in zip(weights[:, 0].tolist(), errors, strict=True)])
@@ -187,7 +180,7 @@ def test_losses_equal_a_slow_reference(algorithm, which, make_model):
         if imitation is not None:
             term = imitation(values, choices, is_expert[:, 0], place, 0.1).item()
             expected[f"imitation_loss_{place}"] = term
-            expected["loss"] += model.imitation_weight * term
+            expected["loss"] += weight * term
     last = levels[-1].gather(1, network.choices(indices)[-1][:, None])
     expected |= {"value_expert": last[is_expert].mean(), "value_online": last[~is_expert].mean()}
     logged = model.logger.name_to_value
@@ -227,9 +220,6 @@ def test_augmented_samples_are_trained_on(make_model):
         one_update(model)
         losses.append(model.logger.name_to_value["train/loss"])
     assert losses[0] != losses[1]
-
-
-# Actions and demonstrations on the grid.
 
 
 def test_half_of_each_batch_are_demonstrations(make_model):
@@ -292,7 +282,7 @@ def test_exploration_rate_decreases(make_model):
 def test_demonstrations_are_executed_on_the_grid(make_picking, make_model):
     """Where they fail so, they are not kept: two yaws are too few for some bars."""
     few = {"codec_kwargs": {"num_rotations": 2, "num_heights": 4, "num_tilts": 3}}
-    env = make_picking(size=24, max_steps=2)
+    env = make_picking(size=24, max_steps=2, low=2.0, high=5.0)
     model = make_model(env=env, policy_kwargs=few, expert_episodes=6, gradient_steps=0).learn(1)
     assert model.replay_buffer.expert_size == 12
     assert is_on_grid(model, model.replay_buffer.steps("action")[:12])
@@ -329,18 +319,13 @@ def test_invalid_arguments_are_rejected(kwargs, named, make_model):
 
 
 def test_agent_learns_to_pick_and_place(make_picking, make_model):
-    """From 40 demonstrations, in some two hundred updates."""
+    """From 40 demonstrations, in some hundred updates."""
     networks = {"channels": [4, 8, 8], "in_hand_channels": [8, 16, 16], "hidden": 32}
     kwargs = {"expert_episodes": 40, "buffer_size": 500, "batch_size": 16, "learning_rate": 3e-3}
-    kwargs |= {"gamma": 0.9, "policy_kwargs": {"network_kwargs": networks}, "pretrain_steps": 160}
+    kwargs |= {"gamma": 0.9, "policy_kwargs": {"network_kwargs": networks}, "pretrain_steps": 100}
     model = make_model(ASR, SDQfD, make_picking(size=24), **kwargs)
     untrained, _ = evaluate_policy(model, make_picking(10, seed=9, size=24), 40)
-    model.learn(20)
+    model.learn(10)
     trained, _ = evaluate_policy(model, make_picking(10, seed=9, size=24), 40)
     assert untrained < 0.1
     assert trained >= 0.85
-
-
-@pytest.mark.parametrize(("algorithm", "weight"), [(ADET, 0.01), (DQfD, 0.1), (SDQfD, 0.1)])
-def test_each_learner_imitates_with_the_papers_weight(algorithm, weight, make_model):
-    assert make_model(algorithm=algorithm).imitation_weight == weight
