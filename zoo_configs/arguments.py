@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import math
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import fields
 from pathlib import Path
@@ -30,13 +32,7 @@ class Parser(argparse.ArgumentParser):
 class KeyValues(argparse.Action):
     """Flag with ``key:value ...``, whose values are YAML. A repeated flag adds keys."""
 
-    def __call__(
-        self,
-        parser: argparse.ArgumentParser,
-        namespace: argparse.Namespace,
-        values: Any,
-        option_string: str | None = None,
-    ) -> None:
+    def __call__(self, parser: Any, namespace: Any, values: Any, option_string: str | None = None) -> None:
         """Parse the pairs of a flag; raise ``CommandError`` for an invalid pair or a repeated key."""
         pairs = [_key_value(str(option_string), pair) for pair in values]
         keys = [key for key, _ in pairs]
@@ -76,21 +72,18 @@ def check_device(name: str) -> None:
         ) from error
 
 
-def whole_number(least: int, most: int | None = None) -> Callable[[str], int]:
-    """Return an argument type for whole numbers from ``least`` to ``most`` (None: unlimited)."""
+def whole_number(least: int, most: float = math.inf) -> Callable[[str], int]:
+    """Return an argument type for whole numbers from ``least`` to ``most``."""
 
-    def number(text: str) -> int:
+    def integer(text: str) -> int:
         """Parse a number within the limits."""
-        try:
-            value = int(text)
-        except ValueError:
-            value = least - 1
-        if value < least or (most is not None and value > most):
-            limits = f"at least {least}" if most is None else f"at least {least} and at most {most}"
-            raise argparse.ArgumentTypeError(f"must be a whole number of {limits}, got {text!r}")
+        value = int(text)
+        if not least <= value <= most:
+            limits = f"at least {least}" if most == math.inf else f"from {least} to {most}"
+            raise argparse.ArgumentTypeError(f"must be a whole number {limits}, got {text!r}")
         return value
 
-    return number
+    return integer
 
 
 positive_int = whole_number(1)
@@ -120,16 +113,10 @@ def add_key_values(parser: argparse.ArgumentParser, *flags: str, **kwargs: Any) 
 
 
 def add_progress(parser: argparse.ArgumentParser) -> None:
-    """Add the flags for progress bars. ``args.progress`` is None if neither is passed."""
-    on_off = argparse.BooleanOptionalAction
-    parser.add_argument(
-        "-P", "--progress", action=on_off, help="show a progress bar (default: on a terminal)"
-    )
-
-
-def hides_progress(progress: bool | None) -> bool | None:
-    """Return tqdm's argument ``disable`` for ``args.progress``; None hides the bar without a terminal."""
-    return None if progress is None else not progress
+    """Add the flags for progress bars."""
+    on_off, text = argparse.BooleanOptionalAction, "show a progress bar (default: on a terminal)"
+    parser.add_argument("-P", "--progress", action=on_off, help=text)
+    parser.set_defaults(progress=sys.stderr.isatty())
 
 
 def add_agent_flags(parser: argparse.ArgumentParser, is_run: bool = False) -> None:

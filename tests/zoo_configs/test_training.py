@@ -129,7 +129,7 @@ def test_ctrl_c_counts_as_killed(train):
 def test_run_folders_are_claimed_by_one_process(tmp_path, toy_id, monkeypatch):
     """Also if another process creates the folder between the listing and the claim."""
     assert claim_run_folder(tmp_path / "logs", toy_id).name == RUN_NAME
-    monkeypatch.setattr(Path, "iterdir", lambda _: iter(()))
+    monkeypatch.setattr(Path, "glob", lambda *_: iter(()))
     assert claim_run_folder(tmp_path / "logs", toy_id).name == f"{RUN_NAME[:-1]}2"
 
 

@@ -10,19 +10,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from zoo_configs.arguments import (
-    MAX_SEED,
-    Parser,
-    add_packages,
-    add_progress,
-    check_device,
-    positive_int,
-    whole_number,
-)
+from zoo_configs.arguments import Parser, add_packages, add_progress, check_device, positive_int, seed
 from zoo_configs.drawing.tables import print_table
 from zoo_configs.errors import CommandError
 from zoo_configs.experiments.flags import PRESETS
-from zoo_configs.files import missing_folders, print_written, remove_empty
+from zoo_configs.files import made_folder, print_written
 
 if TYPE_CHECKING:
     from zoo_configs.benchmarking.run import Overview, Runner, Size
@@ -58,20 +50,15 @@ def main(argv: Sequence[str]) -> None:
     if args.dry_run:
         _print_sizes(jobs, sizes)
         return
-    made = missing_folders(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    try:
-        with _runner(jobs, sizes, folder.absolute(), args) as runner:
-            overview = train_jobs(jobs, folder, runner, args.retry_failed, args.progress)
-    finally:
-        remove_empty(made)
+    with made_folder(folder), _runner(jobs, sizes, folder.absolute(), args) as runner:
+        overview = train_jobs(jobs, folder, runner, args.retry_failed, args.progress)
     _report(overview)
 
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
     parser = Parser("bulletarm-zoo benchmark", description=DESCRIPTION, epilog=EPILOG)
     names = "open_loop_2d, open_loop_3d, open_loop_6d, close_loop_3d, close_loop_4d or a YAML file"
-    add, a_seed = parser.add_argument, whole_number(0, MAX_SEED)
+    add = parser.add_argument
     add("name", metavar="NAME", help=names)
     add("-f", "--log-folder", type=Path, help="folder of all runs (default: benchmarks/NAME)")
     add("--dry-run", action="store_true", help="list experiments, memory and disk, and train nothing")
@@ -82,16 +69,20 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     add("--env", nargs="+", help="tasks or shell patterns (default: all of the benchmark)")
     add("--baseline", nargs="+", help="baselines or shell patterns (default: all of the benchmark)")
     add("--preset", help=f"{PRESETS} (default: paper with a GPU, else cpu)")
-    add("--seeds", "--seed", nargs="+", type=a_seed, help="seeds (default: 0 1 2 3, as in the paper)")
+    add("--seeds", "--seed", nargs="+", type=seed, help="seeds (default: 0 1 2 3, as in the paper)")
     add("--device", default="auto", help="PyTorch device (default: auto)")
     add = parser.add_argument_group("resources").add_argument
     jobs = "number of simultaneous runs on this machine (default: its cores divided by --cpus)"
     gpus = f"with --ray: GPUs of a run (default: {GPUS_A_RUN} if the cluster has GPUs)"
     cluster = "train on a Ray cluster (default: that of this machine)"
     add("-j", "--jobs", type=positive_int, help=jobs)
-    add("--cpus", type=_positive, default=1.0, help="cores and threads of a run (default: 1)")
-    add("--gpus", type=_positive, help=gpus)
-    add("--memory", type=_positive, help="with --ray: gigabytes of a run (default: as listed by --dry-run)")
+    add("--cpus", type=positive_number, default=1.0, help="cores and threads of a run (default: 1)")
+    add("--gpus", type=positive_number, help=gpus)
+    add(
+        "--memory",
+        type=positive_number,
+        help="with --ray: gigabytes of a run (default: as listed by --dry-run)",
+    )
     add("--ray", nargs="?", const="auto", metavar="ADDRESS", help=cluster)
     args = parser.parse_args(argv)
     if args.ray is None and (args.gpus is not None or args.memory is not None):
@@ -101,11 +92,9 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     return args
 
 
-def _positive(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
+def positive_number(text: str) -> float:
+    """Parse a finite number greater than 0."""
+    value = float(text)
     if not 0 < value < float("inf"):
         raise argparse.ArgumentTypeError(f"must be greater than 0, got {text!r}")
     return value
@@ -152,11 +141,13 @@ def _resources(args: argparse.Namespace, size: Size) -> dict[str, float]:
 
 def _report(overview: Overview) -> None:
     """Print the status at the end."""
+    from zoo_configs.training.state import State
+
     print(overview.counts())
     print_written(overview.folder)
-    failed, number = overview.of("failed"), len(overview.entries)
+    failed, number = overview.of(State.FAILED), len(overview.entries)
     if failed:
         first = f"{failed[0].name}: {failed[0].detail}"
         raise CommandError(f"{len(failed)} of {number} runs failed. Use --retry-failed to restart; {first}")
-    if left := number - len(overview.of("done")):
+    if left := number - len(overview.of(State.DONE)):
         raise CommandError(f"{left} of {number} runs are locked by other processes")

@@ -3,7 +3,6 @@
 import argparse
 import sys
 from collections.abc import Sequence
-from contextlib import closing
 
 from zoo_configs.arguments import Parser, add_agent_flags, positive_int, query_of
 from zoo_configs.errors import CommandError, reason
@@ -18,14 +17,12 @@ def main(argv: Sequence[str]) -> None:
     """Run the command."""
     args = _parse(argv)
     from zoo_configs.agents import find_agent
-    from zoo_configs.evaluating import EvalOptions, build_test_env, check_fits, evaluate
+    from zoo_configs.evaluating import EvalOptions, evaluate_agent
 
     agent = find_agent(query_of(args))
     options = EvalOptions(args.episodes, args.seed, args.n_envs, args.env_kwargs, args.progress)
-    with closing(build_test_env(agent, options)) as env:
-        check_fits(env, agent)
-        print(f"{agent.label} on {agent.env_id}, model {agent.path}")
-        outcome = evaluate(agent.model, env, options)
+    print(f"{agent.label} on {agent.env_id}, model {agent.path}")
+    outcome = evaluate_agent(agent, options)
     if agent.run is not None and agent.run.evaluations_file.is_file():
         from zoo_configs.drawing.curves import draw_run
 

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from zoo_configs.arguments import MAX_SEED, Parser, add_packages, add_progress, positive_int, whole_number
-from zoo_configs.environments import package_of, register_environments
+from zoo_configs.arguments import Parser, add_packages, add_progress, positive_int, seed, whole_number
+from zoo_configs.environments import register_environments
 from zoo_configs.experiments.families import task_name
-from zoo_configs.experiments.flags import add_experiment_flags, find_experiment
+from zoo_configs.experiments.flags import add_experiment_flags, find_experiment, packages_of
 from zoo_configs.files import print_written
 from zoo_configs.training.options import TrainingOptions, add_options, given_options
 
@@ -28,7 +28,7 @@ EPILOG = "bulletarm-zoo tune --baseline sacfd --env BulletArm/CloseLoopBlockReac
 def main(argv: Sequence[str]) -> None:
     """Run the command."""
     args = build_parser().parse_args(argv)
-    register_environments(args.gym_packages)
+    register_environments(packages_of(args))
     search = _search(args)
 
     import matplotlib as mpl
@@ -46,7 +46,8 @@ def main(argv: Sequence[str]) -> None:
         files = write_report(search, study)
         print_written(*files) if files else print("no trial is complete")
     check_complete(search, study)
-    named = f"--algo {search.experiment.algo} --env {search.experiment.env_id} --seed {search.seed + 1}"
+    run = search.run
+    named = f"--algo {run.experiment.algo} --env {run.experiment.env_id} --seed {run.seed + 1}"
     print(
         f"To train with the best values: bulletarm-zoo train {named} --conf-file {search.folder / BEST_FILE}"
     )
@@ -57,12 +58,12 @@ def build_parser() -> argparse.ArgumentParser:
     """Return the parser of the command."""
     parser = Parser("bulletarm-zoo tune", description=DESCRIPTION, epilog=EPILOG, allow_abbrev=False)
     add_experiment_flags(parser)
-    add, a_seed = parser.add_argument, whole_number(0, MAX_SEED)
+    add = parser.add_argument
     folder = "folder of studies/, which has a folder for each study (default: logs)"
     startup = "trials that are sampled at random and not pruned (default: 10)"
     trials, evaluations = "trials of all processes (default: 100)", "evaluations of a trial (default: 8)"
     storage = "URL of a database, or a journal file (default: a journal in the study's folder)"
-    add("--seed", type=a_seed, default=0, help="seed of all trials and the sampler (default: 0)")
+    add("--seed", type=seed, default=0, help="seed of all trials and the sampler (default: 0)")
     add("--device", default="auto", help="PyTorch device (default: auto)")
     add("-f", "--log-folder", type=Path, default=Path("logs"), help=folder)
     add("--space", type=Path, help="YAML with the search space (default: that of the algorithm)")
@@ -80,6 +81,7 @@ def build_parser() -> argparse.ArgumentParser:
 
 def _search(args: argparse.Namespace) -> Search:
     from zoo_configs.experiments.validation import check_experiment
+    from zoo_configs.training.runs import Run
     from zoo_configs.tuning.space import load_space
     from zoo_configs.tuning.study import Search
 
@@ -90,17 +92,7 @@ def _search(args: argparse.Namespace) -> Search:
     n_timesteps = int(given.get("n_timesteps", experiment.hyperparams["n_timesteps"]))
     spacing = {"n_timesteps": n_timesteps, "eval_freq": max(n_timesteps // args.n_evaluations, 1)}
     given = {**given, **spacing, "save_freq": given["save_freq"] or spacing["eval_freq"]}
-    return Search(
-        name,
-        args.log_folder / STUDIES_FOLDER / name,
-        experiment,
-        load_space(experiment, args.hyperparams, args.space),
-        args.seed,
-        TrainingOptions.of(experiment, given),
-        args.n_trials,
-        args.pruner,
-        args.n_startup_trials,
-        args.storage,
-        args.device,
-        tuple(dict.fromkeys([*args.gym_packages, *package_of(args.env)])),
-    )
+    folder, options = args.log_folder / STUDIES_FOLDER / name, TrainingOptions.of(experiment, given)
+    run = Run(folder, experiment, args.seed, args.device, options, packages_of(args))
+    space = load_space(experiment, args.hyperparams, args.space)
+    return Search(name, run, space, args.n_trials, args.pruner, args.n_startup_trials, args.storage)

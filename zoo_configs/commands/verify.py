@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import sys
+import contextlib
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -35,7 +35,7 @@ def main(argv: Sequence[str]) -> None:
     recorded = [row for row in certificate[CHECKSUMS] if row["updates"] <= args.updates]
     last = recorded[-1]["updates"]
     print(f"{run.experiment.env_id}, {run.experiment.label}, seed {run.seed}: {last} updates")
-    found = _repeat(run, last, args.progress if args.progress is not None else sys.stderr.isatty())
+    found = _repeat(run, last, args.progress)
     trained = {name: certificate[name] for name in arithmetic()}
     if difference := first_difference(recorded, found):
         updates, quantity = difference
@@ -91,24 +91,13 @@ def _of_published(args: argparse.Namespace) -> tuple[Run, Mapping[str, Any]]:
 def _repeat(run: Run, updates: int, progress: bool) -> Sequence[Row]:
     """Train the first updates of a run again, and return their checksums."""
     from zoo_configs.training.certificate import CHECKSUMS, Certificate, FirstUpdatesDone, read_certificate
-    from zoo_configs.training.train import train_experiment
+    from zoo_configs.training.train import train_run
 
     options = replace(run.options, eval_freq=0, save_freq=0, tensorboard_log="", track=False, verbose=0)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "certificate.yml"
-        try:
-            train_experiment(
-                run.experiment,
-                run.seed,
-                run.device,
-                folder,
-                options=options,
-                gym_packages=run.gym_packages,
-                allow_mismatched_demos=True,
-                callbacks=[Certificate(path, stop_after=updates)],
-                progress=progress,
-            )
-        except FirstUpdatesDone:
-            pass
+        again = replace(run, folder=Path(folder) / "run", options=options)
+        with contextlib.suppress(FirstUpdatesDone):
+            train_run(again, [Certificate(path, updates)], progress, allow_mismatched_demos=True)
         rows: Sequence[Row] = read_certificate(path)[CHECKSUMS]
         return rows

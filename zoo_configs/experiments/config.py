@@ -3,7 +3,7 @@
 import copy
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from zoo_configs.experiments.families import Layer, family_of
@@ -48,6 +48,11 @@ class ExperimentConfig:
         """Name for titles and tables: the baseline, or else the algorithm."""
         return self.baseline or self.algo
 
+    def overridden(self, overrides: Mapping[str, Any]) -> "ExperimentConfig":
+        """Return the experiment with hyperparameters that replace its own; mappings are merged."""
+        merged = merge(self.hyperparams, overrides)
+        return replace(self, hyperparams=merged, overrides=merge(self.overrides, overrides))
+
 
 def resolve(
     baseline: str,
@@ -89,7 +94,7 @@ def explain(
         if layer.algo is not None:
             values["algo"] = layer.algo
         _merge_into(merged, values)
-        sources.update({name: layer for name, _ in _leaves(values)})
+        sources.update({name: layer for name, _ in leaves(values)})
     hyperparams, flags = merged["hyperparams"], merged["flags"]
     for name, parameter in _follow_environment(hyperparams, overrides):
         sources[f"hyperparams.{name}"] = sources[f"hyperparams.env_kwargs.{parameter}"]
@@ -99,11 +104,11 @@ def explain(
     return experiment, sources
 
 
-def _leaves(mapping: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Return the values with dotted names; an empty mapping is a value."""
+def leaves(mapping: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the values of nested mappings with dotted names; an empty mapping is a value."""
     for key, value in mapping.items():
         if isinstance(value, Mapping) and value:
-            yield from _leaves(value, f"{prefix}{key}.")
+            yield from leaves(value, f"{prefix}{key}.")
         else:
             yield f"{prefix}{key}", value
 

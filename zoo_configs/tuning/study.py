@@ -23,16 +23,13 @@ from optuna.trial import FrozenTrial, TrialState
 from stable_baselines3.common.callbacks import BaseCallback
 from tqdm import tqdm
 
-from zoo_configs.arguments import hides_progress
 from zoo_configs.drawing.curves import load_curve
 from zoo_configs.errors import CommandError, reason, refused
-from zoo_configs.experiments.config import ExperimentConfig, merge
 from zoo_configs.files import whole_file, write_yaml
-from zoo_configs.training.options import TrainingOptions
 from zoo_configs.training.runs import EVALUATIONS_FILE, Run, load_run
 from zoo_configs.training.seeds import SeedStream, stream_seed
 from zoo_configs.training.state import is_locked, lock
-from zoo_configs.training.train import train_experiment
+from zoo_configs.training.train import train_run
 from zoo_configs.tuning.space import BASELINE, Parameter, first_values, sample_params
 
 JOURNAL = "journal.log"
@@ -57,32 +54,28 @@ class Search:
     Subject and settings of a study.
 
     :param name: Name of the study
-    :param folder: Its folder, shared by all processes: trials, demonstrations and by default the storage
-    :param experiment: The experiment; its values are the first trial
-    :param space: Its search space
-    :param seed: Seed of models, environments and sampler
-    :param options: Options of a trial's training
+    :param run: Run of which the trials differ in their hyperparameters; its values are the first trial. Its
+        folder is that of the study, shared by all processes: trials and by default the storage
+    :param space: Search space of the experiment
     :param n_trials: Number of trials of all processes
     :param pruner: ``"median"`` or ``"none"``
     :param n_startup_trials: Number of trials that are sampled at random, and of complete trials before
         another one is pruned
     :param storage: URL of a database, None for a journal in the folder
-    :param device: PyTorch device
-    :param gym_packages: Packages that register the environment, in addition to ours
     """
 
     name: str
-    folder: Path
-    experiment: ExperimentConfig
+    run: Run
     space: tuple[Parameter, ...]
-    seed: int
-    options: TrainingOptions
     n_trials: int
     pruner: str = "median"
     n_startup_trials: int = 10
     storage: str | None = None
-    device: str = "auto"
-    gym_packages: tuple[str, ...] = ()
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the study."""
+        return self.run.folder
 
     @property
     def storage_name(self) -> str:
@@ -92,9 +85,9 @@ class Search:
     def about(self) -> dict[str, Any]:
         """Return everything that the meaning of a trial depends on, as plain data."""
         names = ("env_id", "algo", "baseline", "preset", "benchmark", "hyperparams")
-        experiment = {name: getattr(self.experiment, name) for name in names}
-        space = [list(parameter) for parameter in self.space]
-        content = {**experiment, "space": space, "seed": self.seed, "options": self.options.plain()}
+        experiment = {name: getattr(self.run.experiment, name) for name in names}
+        options, seed = self.run.options.plain(), self.run.seed
+        content = {**experiment, "space": self.space, "seed": seed, "options": options}
         return dict(json.loads(json.dumps(content)))
 
 
@@ -119,7 +112,7 @@ def open_study(search: Search) -> optuna.Study:
         if STUDY not in study.user_attrs:
             _check_new(search, study)
             study.set_user_attr(FOLDER, _identify(search.folder))
-            study.enqueue_trial(first_values(search.space, search.experiment), {BASELINE: True})
+            study.enqueue_trial(first_values(search.space, search.run.experiment), {BASELINE: True})
             study.set_user_attr(STUDY, search.about())
     begun = study.user_attrs[STUDY]
     if others := [name for name, value in search.about().items() if begun.get(name) != value]:
@@ -142,14 +135,14 @@ def _check_new(search: Search, study: optuna.Study) -> None:
         )
 
 
-def work(search: Search, study: optuna.Study, progress: bool | None = False) -> None:
+def work(search: Search, study: optuna.Study, progress: bool = False) -> None:
     """
     Train trials until the study has ``n_trials``. Other processes can do so at the same time.
 
-    :param progress: Whether to show a bar of the study's finished trials; None shows it on a terminal
+    :param progress: Whether to show a bar of the study's finished trials
     """
-    number, hidden, done = search.n_trials, hides_progress(progress), _count_finished(study)
-    with tqdm(total=number, initial=done, unit="trial", disable=hidden) as bar:
+    number, done = search.n_trials, _count_finished(study)
+    with tqdm(total=number, initial=done, unit="trial", disable=not progress) as bar:
         while (claimed := _next_trial(search, study)) is not None:
             trial, claim = claimed
             with claim:
@@ -183,7 +176,7 @@ def _next_trial(search: Search, study: optuna.Study) -> tuple[optuna.Trial, IO[s
         again = len(retried(trials))
         if len(begun) - again >= search.n_trials:
             return None
-        seed = stream_seed(search.seed, SeedStream.SAMPLER, len(begun) - again)  # whatever the process
+        seed = stream_seed(search.run.seed, SeedStream.SAMPLER, len(begun) - again)  # whatever the process
         study.sampler = TPESampler(seed=seed, n_startup_trials=search.n_startup_trials, constant_liar=True)
         trial = study.ask()
         claim = _claim_file(search, study.get_trials(deepcopy=False)[trial.number]).open("a")
@@ -212,23 +205,11 @@ def _claim_file(search: Search, trial: FrozenTrial) -> Path:
 
 def _run(search: Search, study: optuna.Study, trial: optuna.Trial) -> None:
     folder = trial_folder(search, study.get_trials(deepcopy=False)[trial.number])
+    experiment = search.run.experiment
     try:
-        sampled = sample_params(search.experiment, search.space, trial)
-        experiment = replace(
-            search.experiment,
-            hyperparams=merge(search.experiment.hyperparams, sampled),
-            overrides=merge(search.experiment.overrides, sampled),
-        )
-        run = train_experiment(
-            experiment,
-            search.seed,
-            search.device,
-            search.folder,
-            options=search.options,
-            at=folder,
-            gym_packages=search.gym_packages,
-            callbacks=[ReportToTrial(trial, folder)],
-        )
+        sampled = sample_params(experiment, search.space, trial)
+        run = replace(search.run, folder=folder, experiment=experiment.overridden(sampled))
+        train_run(run, [ReportToTrial(trial, folder)])
         if trial.user_attrs.get(PRUNED):
             study.tell(trial, state=TrialState.PRUNED)
         else:
