@@ -5,7 +5,6 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import yaml
 from sweeps import ALL
@@ -13,7 +12,6 @@ from sweeps import ALL
 from bulletarm_gym.benchmarks import BENCHMARKS
 from sb3_extensions.encoders.cnn import plan_stages
 from sb3_extensions.replay.sampling import PrioritizedSampler, make_sampler
-from sb3_extensions.spatial_dqn.codec import SpatialActionCodec
 from zoo_configs.cli import main
 from zoo_configs.commands.train import build_parser
 from zoo_configs.environments import make_env, our_env_ids
@@ -200,20 +198,6 @@ def test_overrides_are_merged_last_and_shared_with_nothing():
     hyperparams["env_kwargs"]["obs_size"] = 1
     assert hyperparams_of("equi_sacfd", "cpu", PICKING)["env_kwargs"]["obs_size"] == 64
     assert merge({"a": {"b": [1], "c": 2}}, {"a": {"b": [3]}}) == {"a": {"b": [3], "c": 2}}
-
-
-def test_a_grid_of_actions_covers_the_yaws_and_the_workspace():
-    workspace = [[0.3, 0.6], [-0.15, 0.15], [0.01, 0.25]]
-    env_kwargs = {"half_rotation": False, "workspace": workspace, "random_orientation": True}
-    hyperparams = hyperparams_of("sdqfd_equi_asr", "cpu", STACKING, {"env_kwargs": env_kwargs})
-    codec = SpatialActionCodec(64, "pxyr", **hyperparams["policy_kwargs"]["codec_kwargs"])
-    assert codec.workspace_size == pytest.approx(0.3)
-    pick = codec.decode(np.array([[32, 32, 8]]), np.array([False]))[0]
-    assert pick[3] * np.pi == pytest.approx(8 * np.pi / codec.shape[2])
-    given = {"env_kwargs": env_kwargs, "policy_kwargs": {"codec_kwargs": {"theta_bounds": [-4.0, 4.0]}}}
-    hyperparams = hyperparams_of("sdqfd_equi_asr", "cpu", STACKING, given)
-    assert hyperparams["policy_kwargs"]["codec_kwargs"]["theta_bounds"] == [-4.0, 4.0]
-    assert hyperparams_of("sdqfd_equi_asr", "cpu", STACKING)["policy_kwargs"]["codec_kwargs"] == {}
 
 
 @pytest.mark.parametrize("size", [16, 48, 64, 128, 224])

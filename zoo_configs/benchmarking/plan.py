@@ -76,8 +76,7 @@ def parse_plan(where: str, content: Any) -> Plan:
         raise CommandError(f"{where} must contain a mapping, got {content!r}")
     check_names(f"key of {where}", map(str, content), [item.name for item in fields(Plan)])
     for key in ("tasks", "baselines"):
-        names = content.get(key)
-        if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
+        if not isinstance(names := content.get(key), list) or not names:
             raise CommandError(f"{key} of {where} must be a list of names, got {names!r}")
     for key in ("options", "hyperparams", "variants"):
         if not isinstance(content.get(key, {}), dict):
@@ -85,7 +84,8 @@ def parse_plan(where: str, content: Any) -> Plan:
     for name, values in content.get("variants", {}).items():
         if not isinstance(values, dict) or "/" in str(name):
             raise CommandError(f"variants of {where} must be mappings by name, got {name!r}: {values!r}")
-    return Plan(**content)
+    names = {key: list(map(str, content[key])) for key in ("tasks", "baselines")}
+    return Plan(**{**content, **names})
 
 
 def build_jobs(

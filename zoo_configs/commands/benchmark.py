@@ -121,13 +121,12 @@ def _runner(
         n_jobs = int(args.jobs or max(1, (os.cpu_count() or 1) // max(1, int(args.cpus))))
         yield lambda waiting, look: run_here(waiting, folder, n_jobs, look)
         return
-    from zoo_configs.benchmarking.cluster import check_resources, connected, run_on_ray, shared_folder
+    from zoo_configs.benchmarking.cluster import check_resources, connected, run_on_ray
 
-    with connected(args.ray):
+    with connected(args.ray, folder, args.gym_packages) as token:
         resources = {str(job.folder): _resources(args, sizes[job.folder.parent]) for job in jobs}
         check_resources(resources)
-        with shared_folder(folder, args.gym_packages) as token:
-            yield lambda waiting, look: run_on_ray(waiting, folder, resources, token, look)
+        yield lambda waiting, look: run_on_ray(waiting, folder, resources, token, look)
 
 
 def _resources(args: argparse.Namespace, size: Size) -> dict[str, float]:

@@ -53,23 +53,17 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
 
 
 def _plot_success(experiments: Sequence[ExperimentResults], output: Path) -> list[Path]:
+    from zoo_configs.drawing.curves import LearningCurve, draw_curves, mean_curve
     from zoo_configs.results import BASELINE_HEADS, HEADS, baseline_rows, experiment_row, write_tables
 
     print_table(HEADS, list(map(experiment_row, experiments)))
     print_table(BASELINE_HEADS, baseline_rows(experiments))
-    draw_panels(experiments, output)
-    return [output, *write_tables(experiments, output)]
-
-
-def draw_panels(experiments: Iterable[ExperimentResults], output: Path) -> None:
-    """Draw the mean curve of each experiment."""
-    from zoo_configs.drawing.curves import LearningCurve, draw_curves, mean_curve
-
     panels: defaultdict[str, dict[str, LearningCurve]] = defaultdict(dict)
     for experiment in experiments:
         curves = [result.curve for result in experiment.results.values()]
         panels[experiment.env_id][experiment.label] = mean_curve(curves)
     draw_curves(panels, output)
+    return [output, *write_tables(experiments, output)]
 
 
 def _plot_training(experiments: Iterable[ExperimentResults], output: Path) -> list[Path]:

@@ -118,8 +118,7 @@ def draw_training(panels: Mapping[str, Mapping[str, Sequence[Path]]], path: Path
     lines: dict[str, Any] = {}
     for row, (env_id, logs) in zip(grid, panels.items(), strict=True):
         for axes, (quantity, label) in zip(row, QUANTITIES.items(), strict=True):
-            axes.set(title=env_id, xlabel="time steps", ylabel=label)
-            axes.grid(alpha=0.3)
+            axes.set(title=env_id, ylabel=label)
             for number, (name, files) in enumerate(logs.items()):
                 means = pd.concat(map(read_training_log, files)).groupby(TIMESTEPS).mean()
                 for side, style in SIDES.items():
@@ -140,6 +139,8 @@ def _subplots(rows: int, columns: int) -> tuple[Any, Any]:
         figure = Figure(figsize=size, layout="constrained")
         grid = figure.subplots(rows, columns, squeeze=False)
     for axes in grid.flat:
+        axes.grid(alpha=0.3)
+        axes.set_xlabel("time steps")
         axes.xaxis.set_major_locator(MaxNLocator(6))
         axes.xaxis.set_major_formatter(EngFormatter(sep=""))  # 5k
     return figure, grid
@@ -153,14 +154,9 @@ def _save(figure: Any, lines: Mapping[str, Any], path: Path) -> None:
 
 
 def _label(axes: Any, title: str, curves: Mapping[str, LearningCurve]) -> None:
-    axes.set(
-        title=title,
-        xlabel="time steps",
-        ylabel=next(iter(curves.values())).measure.removeprefix("evaluation "),
-    )
+    axes.set(title=title, ylabel=next(iter(curves.values())).measure.removeprefix("evaluation "))
     if all(curve.measure == SUCCESS for curve in curves.values()):
         axes.set_ylim(-0.02, 1.02)
-    axes.grid(alpha=0.3)
 
 
 def _draw(axes: Any, curve: LearningCurve, number: int) -> Any:

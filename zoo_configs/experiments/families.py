@@ -101,7 +101,7 @@ class Family:
             if name not in valid and others:
                 raise CommandError(f"{kind} {name!r} is for {' or '.join(others)}, not for {env_id}")
             check_names(kind, [name], valid)
-        check_names("benchmark", [benchmark or next(iter(BENCHMARKS))], BENCHMARKS)
+        check_names("benchmark", filter(None, [benchmark]), BENCHMARKS)
         parts = self.baselines[baseline]
         return Case(preset, env_id, self._choose(parts.network, env_id, benchmark), parts)
 

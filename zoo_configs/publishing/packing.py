@@ -229,7 +229,8 @@ def _snippet(card: Card, algorithm: type[Any], repo_id: str | None) -> str:
         imports.append("from huggingface_sb3 import load_from_hub\n")
         path = f"load_from_hub({json.dumps(repo_id)}, {path})"
     own = ALGORITHMS.get(card.algo, "").rpartition(".")[0]
-    values = [f"{json.dumps(key)}: {_literal(value)}" for key, value in card.env_kwargs.items()]
+    literals = {key: json.dumps(v) if isinstance(v, str) else repr(v) for key, v in card.env_kwargs.items()}
+    values = [f"{json.dumps(key)}: {literal}" for key, literal in literals.items()]
     return SNIPPET.format(
         imports="".join(imports),
         module=own or algorithm.__module__.partition(".")[0],
@@ -238,7 +239,3 @@ def _snippet(card: Card, algorithm: type[Any], repo_id: str | None) -> str:
         env_kwargs=f"{{{', '.join(values)}}}",
         env=json.dumps(card.env),
     )
-
-
-def _literal(value: Any) -> str:
-    return json.dumps(value) if isinstance(value, str) else repr(value)

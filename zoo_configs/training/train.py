@@ -19,7 +19,8 @@ from zoo_configs.environments import register_environments, tried_env
 from zoo_configs.errors import CommandError
 from zoo_configs.experiments.config import ExperimentConfig
 from zoo_configs.experiments.validation import check_experiment, check_expert_data
-from zoo_configs.files import made_folder
+from zoo_configs.files import made_folder, write_yaml
+from zoo_configs.training.evaluation import save_model
 from zoo_configs.training.options import TrainingOptions
 from zoo_configs.training.runs import Run, claim_run_folder, clear, load_run, write_resolved
 from zoo_configs.training.state import State, run_lock
@@ -171,11 +172,12 @@ def _train(run: Run, checkpoint: Path | None, callbacks: Sequence[BaseCallback],
             clear(run)
         set_random_seed(run.seed)
         with closing(Trainer(logged, checkpoint, callbacks, progress)) as trainer:
-            trainer.write_configuration()
+            # rl_zoo3 loads a run with this file.
+            write_yaml(run.params_folder / "config.yml", dict(sorted(run.experiment.hyperparams.items())))
             if run.options.verbose:
                 print(f"Training in {run.folder}", flush=True)
             finished = trainer.learn()
-            trainer.save()
+            save_model(run, trainer.model, run.last_model)
         if not finished:
             raise TrainingInterrupted(run)
     return run
