@@ -122,14 +122,12 @@ def add_progress(parser: argparse.ArgumentParser) -> None:
 def add_agent_flags(parser: argparse.ArgumentParser, is_run: bool = False) -> None:
     """Add the flags that describe an agent, with ``is_run`` that of a run, and its test scenes."""
     add = parser.add_argument
-    folder = "run folder, as train prints it"
     if is_run:
-        add("path", nargs="?", type=Path, metavar="RUN_FOLDER", help=folder)
+        add("path", nargs="?", type=Path, metavar="RUN_FOLDER", help="run folder, as train prints it")
     else:
-        model = f"{folder}, or a model that save() wrote (with --env)"
+        model = "run folder, as train prints it, or a model that save() wrote (with --env)"
         add("path", nargs="?", type=Path, metavar="RUN_FOLDER|FILE.zip", help=model)
-        published = "load the agent that the package contains for this task, or a folder written by push"
-        add("--published", metavar="TASK", help=published)
+        add("--published", metavar="TASK", help="agent of the package, or a folder written by push")
     add("--env", help="environment id; without a path the newest run on this environment is loaded")
     add("--baseline", help="load the newest run of this baseline")
     add("--algo", help="load the newest run of this algorithm, or of the baseline of this name")
@@ -137,10 +135,8 @@ def add_agent_flags(parser: argparse.ArgumentParser, is_run: bool = False) -> No
     add("-f", "--log-folder", type=Path, default=Path("logs"), help="folder of all runs (default: logs)")
     add("--device", default="auto", help="PyTorch device (default: auto)")
     add("--seed", type=seed, default=0, help="seed of the test scenes (default: 0)")
-    best = "load the model with the best evaluation (the default)"
-    group = parser.add_mutually_exclusive_group()
-    group.add_argument("--load-best", action="store_true", default=True, help=best)
-    group.add_argument("--load-last", action="store_false", dest="load_best", help="load the last model")
+    add("--load-best", action="store_true", default=True, help="load the best model (the default)")
+    add("--load-last", action="store_false", dest="load_best", help="load the last model")
     add_packages(parser)
     add_env_kwargs(parser)
     add_progress(parser)

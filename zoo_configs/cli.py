@@ -2,7 +2,6 @@
 
 import importlib
 import os
-import select
 import sys
 from collections.abc import Sequence
 from importlib import metadata
@@ -13,10 +12,6 @@ from zoo_configs.errors import CommandError, reason, reason_and_place, unknown_n
 PROGRAM = "bulletarm-zoo"
 DISTRIBUTION = "bulletarm-gym"
 TRACEBACK = "--traceback"
-EXIT_OK = 0
-EXIT_USAGE = 2
-EXIT_INTERRUPTED = 130  # 128 + SIGINT, the shell's convention
-EXIT_UNREAD = 141  # 128 + SIGPIPE
 COMMANDS = {
     "train": "train an agent, or resume a training",
     "tune": "search hyperparameters with Optuna",
@@ -49,12 +44,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout.flush()
     except KeyboardInterrupt:
         print(f"\n{PROGRAM} {name}: interrupted", file=sys.stderr)
-        return EXIT_INTERRUPTED
+        return 130  # 128 + SIGINT, the shell's convention
     except Exception as error:
         if raises:
             raise
         return _report(name, error)
-    return EXIT_OK
+    return 0
 
 
 def _run(name: str, arguments: Sequence[str]) -> None:
@@ -70,30 +65,20 @@ def _run(name: str, arguments: Sequence[str]) -> None:
         raise unknown_name("command", name, COMMANDS)
 
 
-def _is_unread(error: Exception) -> bool:
-    """Return True if the reader of the output, such as ``head``, has gone."""
-    if not isinstance(error, BrokenPipeError):
-        return False
-    poll = select.poll()
-    try:
-        poll.register(sys.stdout, select.POLLOUT)
-    except OSError:  # not a file
-        return False
-    return any(event & select.POLLERR for _, event in poll.poll(0))
-
-
 def _report(name: str, error: Exception) -> int:
     """Print an error in one line and return the exit code."""
-    if _is_unread(error):
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:  # the reader of the output, such as ``head``, has gone
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for the remaining output
-        return EXIT_UNREAD
+        return 141  # 128 + SIGPIPE
     if isinstance(error, CommandError) or (isinstance(error, OSError) and error.errno is not None):
         message = reason(error)
     else:  # most likely in a user's task or policy
         hint = f"{PROGRAM} {TRACEBACK} {name} ... shows the traceback"
         message = f"{reason_and_place(error)}; {hint}"
     print(f"{PROGRAM} {name}: error: {message}", file=sys.stderr)
-    return EXIT_USAGE
+    return 2
 
 
 def usage() -> str:

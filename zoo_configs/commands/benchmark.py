@@ -57,9 +57,8 @@ def main(argv: Sequence[str]) -> None:
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
     parser = Parser("bulletarm-zoo benchmark", description=DESCRIPTION, epilog=EPILOG)
-    names = "open_loop_2d, open_loop_3d, open_loop_6d, close_loop_3d, close_loop_4d or a YAML file"
-    add = parser.add_argument
-    add("name", metavar="NAME", help=names)
+    add, names = parser.add_argument, "close_loop_4d, close_loop_3d, open_loop_2d, open_loop_3d, open_loop_6d"
+    add("name", metavar="NAME", help=f"{names} or a YAML file")
     add("-f", "--log-folder", type=Path, help="folder of all runs (default: benchmarks/NAME)")
     add("--dry-run", action="store_true", help="list experiments, memory and disk, and train nothing")
     add("--retry-failed", action="store_true", help="restart failed runs")
@@ -72,10 +71,8 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     add("--seeds", "--seed", nargs="+", type=seed, help="seeds (default: 0 1 2 3, as in the paper)")
     add("--device", default="auto", help="PyTorch device (default: auto)")
     add = parser.add_argument_group("resources").add_argument
-    jobs = "number of simultaneous runs on this machine (default: its cores divided by --cpus)"
     gpus = f"with --ray: GPUs of a run (default: {GPUS_A_RUN} if the cluster has GPUs)"
-    cluster = "train on a Ray cluster (default: that of this machine)"
-    add("-j", "--jobs", type=positive_int, help=jobs)
+    add("-j", "--jobs", type=positive_int, help="simultaneous runs (default: cores divided by --cpus)")
     add("--cpus", type=positive_number, default=1.0, help="cores and threads of a run (default: 1)")
     add("--gpus", type=positive_number, help=gpus)
     add(
@@ -83,7 +80,7 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
         type=positive_number,
         help="with --ray: gigabytes of a run (default: as listed by --dry-run)",
     )
-    add("--ray", nargs="?", const="auto", metavar="ADDRESS", help=cluster)
+    add("--ray", nargs="?", const="auto", metavar="ADDRESS", help="train on a Ray cluster (default: local)")
     args = parser.parse_args(argv)
     if args.ray is None and (args.gpus is not None or args.memory is not None):
         parser.error("--gpus and --memory need --ray. Use -j for the number of runs on this machine")

@@ -44,8 +44,7 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     add("-f", "--log-folder", type=Path, default=Path("logs"), help="folder of all runs (default: logs)")
     kinds = ", ".join(FORMATS)
     add("-o", "--output", type=Path, help=f"{kinds} file to write (default: {PICTURE} in the log folder)")
-    training = f"draw critic values and policy entropy instead (default output: {TRAINING_PICTURE})"
-    add("--training", action="store_true", help=training)
+    add("--training", action="store_true", help="draw critic values and policy entropy instead")
     args = parser.parse_args(argv)
     if args.output is not None and args.output.suffix not in FORMATS:
         parser.error(f"--output must end in {kinds}, got {args.output}")

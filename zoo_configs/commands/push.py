@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 DESCRIPTION = """Upload a trained agent to the Hugging Face hub, or write it to a folder (--folder): a small
 model file, tested as it was written, and a card. The token is that of `hf auth login` or HF_TOKEN."""
-VIDEO_FILE = "replay.mp4"  # name that the hub shows
 
 
 def main(argv: Sequence[str]) -> None:
@@ -76,7 +75,7 @@ def _to_hub(agent: Agent, args: argparse.Namespace) -> None:
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         _pack(agent, folder, args, repo_id)
-        _record(agent, folder / VIDEO_FILE, args)
+        _record(agent, folder / "replay.mp4", args)  # the hub shows a file of this name
         with refused(f"{repo_id} cannot be written"):
             url = hub.create_repo(repo_id=repo_id, exist_ok=True)
             hub.upload_folder(repo_id=repo_id, folder_path=folder, commit_message="Add the agent")

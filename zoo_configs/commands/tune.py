@@ -17,8 +17,6 @@ from zoo_configs.training.options import TrainingOptions, add_options, given_opt
 if TYPE_CHECKING:
     from zoo_configs.tuning.study import Search
 
-STUDIES_FOLDER = "studies"
-PRUNERS = ("median", "none")
 DESCRIPTION = """Search hyperparameters. The experiment is named as for train, and its values are the first
 trial. Processes with the same command, on machines that share the log folder, work on one study. A trial
 whose process dies is continued by another process. The same command continues a study."""
@@ -48,9 +46,7 @@ def main(argv: Sequence[str]) -> None:
     check_complete(search, study)
     run = search.run
     named = f"--algo {run.experiment.algo} --env {run.experiment.env_id} --seed {run.seed + 1}"
-    print(
-        f"To train with the best values: bulletarm-zoo train {named} --conf-file {search.folder / BEST_FILE}"
-    )
+    print(f"To train with the best values: bulletarm-zoo train {named} --conf-file {run.folder / BEST_FILE}")
     print(f"To view the study: optuna-dashboard {search.storage_name}")
 
 
@@ -59,19 +55,17 @@ def build_parser() -> argparse.ArgumentParser:
     parser = Parser("bulletarm-zoo tune", description=DESCRIPTION, epilog=EPILOG, allow_abbrev=False)
     add_experiment_flags(parser)
     add = parser.add_argument
-    folder = "folder of studies/, which has a folder for each study (default: logs)"
-    startup = "trials that are sampled at random and not pruned (default: 10)"
-    trials, evaluations = "trials of all processes (default: 100)", "evaluations of a trial (default: 8)"
-    storage = "URL of a database, or a journal file (default: a journal in the study's folder)"
     add("--seed", type=seed, default=0, help="seed of all trials and the sampler (default: 0)")
     add("--device", default="auto", help="PyTorch device (default: auto)")
-    add("-f", "--log-folder", type=Path, default=Path("logs"), help=folder)
+    add("-f", "--log-folder", type=Path, default=Path("logs"), help="folder of studies/ (default: logs)")
     add("--space", type=Path, help="YAML with the search space (default: that of the algorithm)")
-    add("--n-trials", type=positive_int, default=100, help=trials)
-    add("--n-startup-trials", type=whole_number(0), default=10, help=startup)
-    add("--n-evaluations", type=positive_int, default=8, help=evaluations)
-    add("--pruner", choices=PRUNERS, default="median", help="default: median")
-    add("--storage", help=storage)
+    add("--n-trials", type=positive_int, default=100, help="trials of all processes (default: 100)")
+    add(
+        "--n-startup-trials", type=whole_number(0), default=10, help="random trials, not pruned (default: 10)"
+    )
+    add("--n-evaluations", type=positive_int, default=8, help="evaluations of a trial (default: 8)")
+    add("--pruner", choices=("median", "none"), default="median", help="default: median")
+    add("--storage", help="URL of a database, or a journal file (default: a journal in the study's folder)")
     add("--study-name", help="default: the baseline and the task")
     add_packages(parser)
     add_progress(parser)
@@ -92,7 +86,7 @@ def _search(args: argparse.Namespace) -> Search:
     n_timesteps = int(given.get("n_timesteps", experiment.hyperparams["n_timesteps"]))
     spacing = {"n_timesteps": n_timesteps, "eval_freq": max(n_timesteps // args.n_evaluations, 1)}
     given = {**given, **spacing, "save_freq": given["save_freq"] or spacing["eval_freq"]}
-    folder, options = args.log_folder / STUDIES_FOLDER / name, TrainingOptions.of(experiment, given)
+    folder, options = args.log_folder / "studies" / name, TrainingOptions.of(experiment, given)
     run = Run(folder, experiment, args.seed, args.device, options, packages_of(args))
     space = load_space(experiment, args.hyperparams, args.space)
     return Search(name, run, space, args.n_trials, args.pruner, args.n_startup_trials, args.storage)

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 DESCRIPTION = """Train the first updates of a run or of a published agent again, and compare checksums of its
 observations, replay buffer and parameters with those that were recorded in the training. They are equal with
 the same code, processor type and versions. The exit code is 2 if they differ."""
-DEFAULT_UPDATES = 200
 
 
 def main(argv: Sequence[str]) -> None:
@@ -53,8 +52,7 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     add("path", nargs="?", type=Path, metavar="RUN_FOLDER", help="run folder, as train prints it")
     add("--published", metavar="TASK", help="verify the agent of the package, or a folder written by push")
     add("--baseline", help="with --published: baseline of the agent")
-    updates = f"maximum number of updates (default: {DEFAULT_UPDATES}, as recorded)"
-    add("--updates", type=whole_number(0), default=DEFAULT_UPDATES, help=updates)
+    add("--updates", type=whole_number(0), default=200, help="maximum number of updates (default: 200)")
     add_progress(parser)
     args = parser.parse_args(argv)
     if (args.path is None) == (args.published is None):

@@ -26,11 +26,9 @@ FONT_SIZE = 15
 BACKGROUND = (24, 26, 30)
 FOREGROUND = (235, 235, 235)
 SUCCESS_COLOUR = (110, 200, 120)
-COLOUR_MAP = "viridis"
 HEIGHT_IMAGES = ("heightmap", "in_hand")
 HIGHEST = 0.2  # m; the brightest colour of a heightmap
 GIF_COLOURS = 160
-SMALLEST_SPAN = 1e-6  # of values; avoids a division by zero
 MARK = (255, 90, 60)
 RING = 7  # pixels
 NEAREST = Image.Resampling.NEAREST
@@ -86,7 +84,7 @@ def draw_value_map(value_map: ValueMap) -> Image.Image:
     """
     values, (row, column), yaw = value_map
     low, high = float(values.min()), float(values.max())
-    panel = _resize(Image.fromarray(colour((values - low) / max(high - low, SMALLEST_SPAN))), NEAREST)
+    panel = _resize(Image.fromarray(colour((values - low) / max(high - low, 1e-6))), NEAREST)
     draw = ImageDraw.Draw(panel)
     scale = PANEL_SIZE / len(values)
     x, y = (column + 0.5) * scale, (row + 0.5) * scale
@@ -151,4 +149,4 @@ def _resize(image: Image.Image, resampling: Image.Resampling) -> Image.Image:
 
 def colour(image: Brightness) -> Frame:
     """Return an image, shape (height, width, 3), of values in [0, 1], dark to bright."""
-    return np.asarray(colormaps[COLOUR_MAP](image)[..., :3] * 255, np.uint8)
+    return np.asarray(colormaps["viridis"](image)[..., :3] * 255, np.uint8)

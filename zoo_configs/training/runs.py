@@ -20,15 +20,14 @@ from zoo_configs.training.state import RunStatus, run_status
 
 RESOLVED_FILE = "hyperparams.yml"
 EVALUATIONS_FILE = "evaluations.npz"
-TRAINING_LOG_FILE = "training.csv"
-CERTIFICATE_FILE = "certificate.yml"
-BEST_MODEL_FILE = "best_model.zip"
 CHECKPOINT_FOLDER = "checkpoints"
 SEED_PREFIX = "seed_"
 """Start of the names of a benchmark's run folders, ``<folder>/<task>/<baseline>/seed_<n>``."""
 CURVE_FILE = "learning_curve.png"
 RUN_KEY = "run"
 """Key of the resolved file next to the environment's section; rl_zoo3 does not read it."""
+EXPERIMENT_KEYS = ("algo", "baseline", "preset", "benchmark", "overrides", "flags")
+"""Fields of the experiment below this key."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +79,7 @@ class Run:
     @property
     def best_model(self) -> Path:
         """The model of the best periodic evaluation."""
-        return self.folder / BEST_MODEL_FILE
+        return self.folder / "best_model.zip"
 
     @property
     def has_model(self) -> bool:
@@ -100,12 +99,12 @@ class Run:
     @property
     def training_log(self) -> Path:
         """Values that the algorithm logged with its updates."""
-        return self.folder / TRAINING_LOG_FILE
+        return self.folder / "training.csv"
 
     @property
     def certificate(self) -> Path:
         """Checksums of its first updates."""
-        return self.folder / CERTIFICATE_FILE
+        return self.folder / "certificate.yml"
 
     @property
     def status(self) -> RunStatus:
@@ -134,12 +133,7 @@ def write_resolved(run: Run) -> None:
     """Write the configuration of a run, in the form of rl_zoo3's ``--conf-file``."""
     experiment = run.experiment
     about = {
-        "algo": experiment.algo,
-        "baseline": experiment.baseline,
-        "preset": experiment.preset,
-        "benchmark": experiment.benchmark,
-        "overrides": experiment.overrides,
-        "flags": experiment.flags,
+        **{name: getattr(experiment, name) for name in EXPERIMENT_KEYS},
         "seed": run.seed,
         "device": run.device,
         "options": run.options.plain(),
@@ -160,8 +154,8 @@ def load_run(folder: Path) -> Run:
     with refused(f"{path} cannot be read"):
         about = content.pop(RUN_KEY)
         ((env_id, hyperparams),) = content.items()
-        named = {key: about[key] for key in ("baseline", "preset", "benchmark", "overrides", "flags")}
-        experiment = ExperimentConfig(about["algo"], env_id, dict(hyperparams), **named)
+        named = {name: about[name] for name in EXPERIMENT_KEYS}
+        experiment = ExperimentConfig(env_id=env_id, hyperparams=dict(hyperparams), **named)
         options, packages = TrainingOptions(**about["options"]), tuple(about["gym_packages"])
         return Run(folder, experiment, about["seed"], about["device"], options, packages)
 

@@ -19,7 +19,6 @@ from zoo_configs.experiments.config import ExperimentConfig, look_up, merge
 from zoo_configs.files import parse_yaml, read_yaml
 from zoo_configs.training.objects import SCHEDULE, TRAINER_KEYS
 
-SHIPPED = "algorithms.yml"
 KEYS = ("low", "high", "log", "choices", "needs")
 BASELINE = "baseline"
 """Attribute of the trial that trains the baseline itself."""
@@ -98,8 +97,8 @@ def load_space(
 
 @functools.cache
 def _shipped_spaces() -> dict[str, Any]:
-    folder = resources.files("zoo_configs") / "hyperparams" / "spaces"
-    return dict(parse_yaml((folder / SHIPPED).read_text(encoding="utf-8")))
+    file = resources.files("zoo_configs") / "hyperparams" / "spaces" / "algorithms.yml"
+    return dict(parse_yaml(file.read_text(encoding="utf-8")))
 
 
 def parse_space(where: str, data: Any) -> list[Parameter]:

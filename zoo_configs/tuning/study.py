@@ -32,7 +32,6 @@ from zoo_configs.training.state import is_locked, lock
 from zoo_configs.training.train import train_run
 from zoo_configs.tuning.space import BASELINE, Parameter, first_values, sample_params
 
-JOURNAL = "journal.log"
 STUDY, FOLDER = "study", "folder"
 """Attributes of a study: its subject and its folder."""
 ERROR, REPEATS, PRUNED = "error", "repeats", "pruned"
@@ -73,14 +72,9 @@ class Search:
     storage: str | None = None
 
     @property
-    def folder(self) -> Path:
-        """Folder of the study."""
-        return self.run.folder
-
-    @property
     def storage_name(self) -> str:
         """Name of the storage for ``optuna-dashboard``."""
-        return self.storage or str(self.folder / JOURNAL)
+        return self.storage or str(self.run.folder / "journal.log")
 
     def about(self) -> dict[str, Any]:
         """Return everything that the meaning of a trial depends on, as plain data."""
@@ -98,8 +92,8 @@ def open_study(search: Search) -> optuna.Study:
     :raises CommandError: if the storage cannot be opened, or its study has another subject, another folder or
         belongs to another program
     """
-    search.folder.mkdir(parents=True, exist_ok=True)
-    with _alone(search.folder):
+    search.run.folder.mkdir(parents=True, exist_ok=True)
+    with _alone(search.run.folder):
         with refused(f"--storage: {search.storage_name} cannot be opened"):
             is_median = search.pruner == "median"
             study = optuna.create_study(
@@ -111,7 +105,7 @@ def open_study(search: Search) -> optuna.Study:
             )
         if STUDY not in study.user_attrs:
             _check_new(search, study)
-            study.set_user_attr(FOLDER, _identify(search.folder))
+            study.set_user_attr(FOLDER, _identify(search.run.folder))
             study.enqueue_trial(first_values(search.space, search.run.experiment), {BASELINE: True})
             study.set_user_attr(STUDY, search.about())
     begun = study.user_attrs[STUDY]
@@ -119,8 +113,10 @@ def open_study(search: Search) -> optuna.Study:
         raise CommandError(
             f"study {search.name} exists with other {', '.join(others)}. Use another --study-name."
         )
-    if study.user_attrs[FOLDER] != _identify(search.folder):
-        raise CommandError(f"study {search.name} has another folder than {search.folder}. Share that folder.")
+    if study.user_attrs[FOLDER] != _identify(search.run.folder):
+        raise CommandError(
+            f"study {search.name} has another folder than {search.run.folder}. Share that folder."
+        )
     return study
 
 
@@ -164,12 +160,12 @@ def _count_finished(study: optuna.Study) -> int:
 def trial_folder(search: Search, trial: FrozenTrial) -> Path:
     """Return the run folder of a trial, which a repeated trial shares with the first one."""
     first = [*trial.user_attrs.get(REPEATS, ()), trial.number][0]
-    return search.folder / f"trial_{first:04d}"
+    return search.run.folder / f"trial_{first:04d}"
 
 
 def _next_trial(search: Search, study: optuna.Study) -> tuple[optuna.Trial, IO[str]] | None:
     """Return the next trial and its locked file, None if there are enough trials."""
-    with _alone(search.folder):
+    with _alone(search.run.folder):
         _retry_stale(search, study)
         trials = study.get_trials(deepcopy=False)
         begun = [trial for trial in trials if trial.state is not TrialState.WAITING]
@@ -300,7 +296,7 @@ def write_report(search: Search, study: optuna.Study) -> list[Path]:
     if not complete:
         return []
     best = _write_best(search, study.best_trial)
-    return [best, *_draw(search.folder, study)] if len(complete) >= LEAST_TRIALS else [best]
+    return [best, *_draw(search.run.folder, study)] if len(complete) >= LEAST_TRIALS else [best]
 
 
 def summary(study: optuna.Study) -> str:
@@ -314,7 +310,7 @@ def summary(study: optuna.Study) -> str:
 def _write_best(search: Search, trial: FrozenTrial) -> Path:
     """Write the hyperparameters of the best trial for ``train --conf-file``."""
     run = load_run(trial_folder(search, trial))
-    path = search.folder / BEST_FILE
+    path = search.run.folder / BEST_FILE
     hyperparams = {**run.experiment.hyperparams, "n_timesteps": run.n_timesteps}
     write_yaml(path, {run.experiment.env_id: hyperparams}, f"{search.name}, {describe(trial)}")
     return path
