@@ -180,10 +180,12 @@ def test_layers_have_a_fixed_order():
     }
     family = parse_family("mine", yaml.safe_dump(content, sort_keys=False))
     layers = list(family.layers(Case("cpu", "Any/Toy-v0", None, family.baselines["rad_sac"])))
-    assert [layer.hyperparams["gamma"] for layer in layers[1:]] == [number / 10 for number in range(9)]
+    assert [layer.values["hyperparams"]["gamma"] for layer in layers[1:]] == [
+        number / 10 for number in range(9)
+    ]
     assert layers[-1].source == "mine.yml, presets.cpu.tasks.Toy.networks.cnn"
     other = list(family.layers(Case("cpu", "Any/Other-v0", None, family.baselines["sacfd"])))
-    assert [layer.hyperparams["gamma"] for layer in other[1:]] == [0.0, 0.1, 0.4, 0.5]
+    assert [layer.values["hyperparams"]["gamma"] for layer in other[1:]] == [0.0, 0.1, 0.4, 0.5]
     family = parse_family("mine", yaml.safe_dump({**content, "defaults": {"sets": {}}}))
     with pytest.raises(CommandError, match="'sets', did you mean 'set'"):
         list(family.layers(Case("cpu", PICKING, None, family.baselines["sacfd"])))

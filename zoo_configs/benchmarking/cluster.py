@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from zoo_configs.benchmarking.process import GRACE, POLL, ExitCode, JobProcess, check_storage, stop
+from zoo_configs.benchmarking.run import GIGABYTE
 from zoo_configs.environments import register_environments
 from zoo_configs.errors import CommandError, reason
 from zoo_configs.files import check_writable
@@ -21,7 +22,6 @@ from zoo_configs.provenance import versions
 from zoo_configs.training.runs import CHECKPOINT_FOLDER, Run
 from zoo_configs.training.state import State, set_status
 
-GIGABYTE = 1e9
 CONNECTING_SECONDS = 15.0
 CONNECT = "import logging, ray, sys; ray.init(address=sys.argv[1], logging_level=logging.ERROR)"
 TOKEN = ".benchmark-"

@@ -51,8 +51,7 @@ def main(argv: Sequence[str]) -> None:
         _print_sizes(jobs, sizes)
         return
     with made_folder(folder), _runner(jobs, sizes, folder.absolute(), args) as runner:
-        overview = train_jobs(jobs, folder, runner, args.retry_failed, args.progress)
-    _report(overview)
+        _report(train_jobs(jobs, folder, runner, args.retry_failed, args.progress))
 
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
@@ -127,7 +126,8 @@ def _runner(
 
 
 def _resources(args: argparse.Namespace, size: Size) -> dict[str, float]:
-    from zoo_configs.benchmarking.cluster import GIGABYTE, machines
+    from zoo_configs.benchmarking.cluster import machines
+    from zoo_configs.benchmarking.run import GIGABYTE
 
     has_gpus = args.device != "cpu" and any("GPU" in node["Resources"] for node in machines())
     gpus = args.gpus if args.gpus is not None else GPUS_A_RUN if has_gpus else 0.0

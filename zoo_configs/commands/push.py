@@ -17,8 +17,6 @@ from zoo_configs.errors import CommandError, refused
 from zoo_configs.files import check_writable, print_written
 
 if TYPE_CHECKING:
-    from huggingface_hub import HfApi
-
     from zoo_configs.agents import Agent
 
 DESCRIPTION = """Upload a trained agent to the Hugging Face hub, or write it to a folder (--folder): a small
@@ -63,6 +61,7 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
 
 
 def _to_hub(agent: Agent, args: argparse.Namespace) -> None:
+    from huggingface_hub import HfApi
     from huggingface_hub.utils import validate_repo_id  # type: ignore[attr-defined]
 
     from zoo_configs.training.runs import env_folder_name
@@ -71,7 +70,9 @@ def _to_hub(agent: Agent, args: argparse.Namespace) -> None:
     repo_id = f"{args.organization}/{name}"
     with refused("--organization and --repo-name must be names of the hub"):
         validate_repo_id(repo_id)
-    hub = _connect()
+    hub = HfApi()
+    with refused("the Hugging Face hub cannot be used"):
+        hub.whoami()
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         _pack(agent, folder, args, repo_id)
@@ -80,21 +81,6 @@ def _to_hub(agent: Agent, args: argparse.Namespace) -> None:
             url = hub.create_repo(repo_id=repo_id, exist_ok=True)
             hub.upload_folder(repo_id=repo_id, folder_path=folder, commit_message="Add the agent")
     print(f"Uploaded to {url}")
-
-
-def _connect() -> HfApi:
-    """Log in to the hub."""
-    from huggingface_hub import HfApi, get_token
-
-    token = get_token()
-    if not token:
-        raise CommandError(
-            "no token of the Hugging Face hub. Run `hf auth login`, set HF_TOKEN, or pass --folder"
-        )
-    hub = HfApi(token=token)
-    with refused("the Hugging Face hub cannot be used"):
-        hub.whoami()
-    return hub
 
 
 def _pack(agent: Agent, folder: Path, args: argparse.Namespace, repo_id: str | None) -> None:

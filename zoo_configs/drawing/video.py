@@ -104,21 +104,16 @@ def observed_images(observation: Any, env: gym.Env[Any, Any]) -> Iterator[Bright
     """
     control = getattr(env.unwrapped, "control", None)
     plane = None if control is None else control.frame().plane
-    for key, space in _boxes(env.observation_space):
+    space = env.observation_space
+    for key, part in space.items() if isinstance(space, spaces.Dict) else [(None, space)]:
+        if not isinstance(part, spaces.Box) or len(part.shape) != 3 or part.shape[0] != 1:
+            continue
         image = np.asarray(observation if key is None else observation[key], np.float64)[0]
         if key in HEIGHT_IMAGES:
             yield np.clip((image if plane is None else plane - image) / HIGHEST, 0.0, 1.0)
         else:
-            low, high = float(space.low.min()), float(space.high.max())
+            low, high = float(part.low.min()), float(part.high.max())
             yield (image - low) / (high - low)
-
-
-def _boxes(space: spaces.Space[Any]) -> Iterator[tuple[str | None, spaces.Box]]:
-    """Yield key and space of each single-channel image."""
-    parts = space.items() if isinstance(space, spaces.Dict) else [(None, space)]
-    for key, part in parts:
-        if isinstance(part, spaces.Box) and len(part.shape) == 3 and part.shape[0] == 1:
-            yield key, part
 
 
 def write_video(frames: Sequence[Frame], path: Path) -> None:

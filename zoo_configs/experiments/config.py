@@ -8,7 +8,7 @@ from typing import Any
 from zoo_configs.experiments.families import Layer, family_of
 from zoo_configs.files import format_yaml
 
-DEFAULT, OVERRIDES = Layer("default"), Layer("command line")
+DEFAULT, OVERRIDES = Layer("default", {}), Layer("command line", {})
 """Sources of values that no configuration file defines."""
 EXTRACTOR = "policy_kwargs.features_extractor_kwargs"
 
@@ -80,15 +80,11 @@ def explain(
     family = family_of(env_id)
     case = family.case(baseline, preset, env_id, benchmark)
     overrides = copy.deepcopy(dict(overrides or {}))
-    layers = [*family.layers(case), Layer(OVERRIDES.source, hyperparams=overrides)]
     merged: dict[str, Any] = {"hyperparams": {}, "flags": {}}
     sources: dict[str, Layer] = {}
-    for layer in layers:
-        values: dict[str, Any] = {"hyperparams": layer.hyperparams, "flags": layer.flags}
-        if layer.algo is not None:
-            values["algo"] = layer.algo
-        _merge_into(merged, values)
-        sources.update({name: layer for name, _ in leaves(values)})
+    for layer in [*family.layers(case), OVERRIDES._replace(values={"hyperparams": overrides})]:
+        _merge_into(merged, layer.values)
+        sources.update({name: layer for name, _ in leaves(layer.values)})
     hyperparams, flags = merged["hyperparams"], merged["flags"]
     for name, parameter in _follow_environment(hyperparams, overrides):
         sources[f"hyperparams.{name}"] = sources[f"hyperparams.env_kwargs.{parameter}"]

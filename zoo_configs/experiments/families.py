@@ -3,7 +3,7 @@
 import functools
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from importlib import resources
 from typing import Any, NamedTuple
@@ -14,7 +14,8 @@ from zoo_configs.files import parse_yaml
 
 AXES = ("benchmarks", "networks", "learners", "additions", "tasks")
 """Keys below which a section has sections by name, in the order of merging."""
-SECTION_KEYS = ("why", "algo", "set", "flags", *AXES)
+VALUE_KEYS = {"algo": "algo", "hyperparams": "set", "flags": "flags"}
+"""Keys of a section's values."""
 
 
 class Baseline(NamedTuple):
@@ -40,23 +41,18 @@ class Case(NamedTuple):
         return (self.benchmark or "none",), (network,), (learner,), additions, (task_name(self.env_id),)
 
 
-@dataclass(frozen=True)
-class Layer:
+class Layer(NamedTuple):
     """
     Values of one section of a configuration file.
 
     :param source: The file and the section
+    :param values: ``algo``, ``hyperparams`` and ``flags``, merged with those of earlier layers
     :param why: The reason, or the source of the numbers
-    :param algo: Name of the algorithm, None if another layer defines it
-    :param hyperparams: Hyperparameters; mappings are merged with those of earlier layers
-    :param flags: Defaults for flags of ``train``
     """
 
     source: str
+    values: Mapping[str, Any]
     why: str = ""
-    algo: str | None = None
-    hyperparams: Mapping[str, Any] = field(default_factory=dict)
-    flags: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -125,13 +121,13 @@ class Family:
 
     def layers(self, case: Case) -> Iterator[Layer]:
         """Yield the layers of an experiment in the order of merging."""
-        yield Layer("name of the baseline", algo=case.baseline.learner)
+        yield Layer("name of the baseline", {"algo": case.baseline.learner})
         yield from _layers(self.sections.get("defaults", {}), case, f"{self.name}.yml, defaults")
         if case.benchmark is not None:
             table = BENCHMARKS[case.benchmark]
             [row] = (environment for environment in table.environments if environment.env_id == case.env_id)
             values = {"env_kwargs": table.make_kwargs(row), "expert_episodes": row.expert_episodes}
-            yield Layer(f"bulletarm_gym.benchmarks, {case.benchmark}", hyperparams=values)
+            yield Layer(f"bulletarm_gym.benchmarks, {case.benchmark}", {"hyperparams": values})
         yield from _layers({axis: self.sections.get(axis, {}) for axis in AXES}, case, f"{self.name}.yml, ")
         preset = self.sections["presets"][case.preset]
         yield from _layers(preset, case, f"{self.name}.yml, presets.{case.preset}")
@@ -143,10 +139,9 @@ def _layers(section: Any, case: Case, source: str) -> Iterator[Layer]:
         for part in section:
             yield from _layers(part, case, source)
         return
-    check_names(f"key of {source}", section, SECTION_KEYS)
-    if section.keys() & {"algo", "set", "flags"}:
-        why = " ".join(section.get("why", "").split())
-        yield Layer(source, why, section.get("algo"), section.get("set", {}), section.get("flags", {}))
+    check_names(f"key of {source}", section, ("why", *VALUE_KEYS.values(), *AXES))
+    if values := {name: section[key] for name, key in VALUE_KEYS.items() if key in section}:
+        yield Layer(source, values, " ".join(section.get("why", "").split()))
     for axis, names in zip(AXES, case.names, strict=True):
         for name in names:
             if name in section.get(axis, {}):

@@ -3,7 +3,7 @@
 import fcntl
 import json
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -146,18 +146,18 @@ def work(search: Search, study: optuna.Study, progress: bool = False) -> None:
             bar.update(_count_finished(study) - bar.n)
 
 
-def retried(trials: Iterable[FrozenTrial]) -> set[int]:
-    """Return the numbers of the trials that another one repeats, which do not count."""
-    return {number for trial in trials for number in trial.user_attrs.get(REPEATS, ())}
+def counted(study: optuna.Study) -> list[FrozenTrial]:
+    """Return the trials of all processes without those that another one repeats."""
+    trials = study.get_trials(deepcopy=False)
+    repeated = {number for trial in trials for number in trial.user_attrs.get(REPEATS, ())}
+    return [trial for trial in trials if trial.number not in repeated]
 
 
 def _count_finished(study: optuna.Study) -> int:
-    """Return the number of finished trials of all processes."""
-    trials = study.get_trials(deepcopy=False)
-    return len({trial.number for trial in trials if trial.state.is_finished()} - retried(trials))
+    return sum(trial.state.is_finished() for trial in counted(study))
 
 
-def trial_folder(search: Search, trial: FrozenTrial) -> Path:
+def trial_folder(search: Search, trial: optuna.Trial | FrozenTrial) -> Path:
     """Return the run folder of a trial, which a repeated trial shares with the first one."""
     first = [*trial.user_attrs.get(REPEATS, ()), trial.number][0]
     return search.run.folder / f"trial_{first:04d}"
@@ -167,15 +167,13 @@ def _next_trial(search: Search, study: optuna.Study) -> tuple[optuna.Trial, IO[s
     """Return the next trial and its locked file, None if there are enough trials."""
     with _alone(search.run.folder):
         _retry_stale(search, study)
-        trials = study.get_trials(deepcopy=False)
-        begun = [trial for trial in trials if trial.state is not TrialState.WAITING]
-        again = len(retried(trials))
-        if len(begun) - again >= search.n_trials:
+        begun = sum(trial.state is not TrialState.WAITING for trial in counted(study))
+        if begun >= search.n_trials:
             return None
-        seed = stream_seed(search.run.seed, SeedStream.SAMPLER, len(begun) - again)  # whatever the process
+        seed = stream_seed(search.run.seed, SeedStream.SAMPLER, begun)  # whatever the process
         study.sampler = TPESampler(seed=seed, n_startup_trials=search.n_startup_trials, constant_liar=True)
         trial = study.ask()
-        claim = _claim_file(search, study.get_trials(deepcopy=False)[trial.number]).open("a")
+        claim = _claim_file(search, trial).open("a")
         lock(claim)
         return trial, claim
 
@@ -195,12 +193,12 @@ def _retry_stale(search: Search, study: optuna.Study) -> None:
             study.add_trial(again)
 
 
-def _claim_file(search: Search, trial: FrozenTrial) -> Path:
+def _claim_file(search: Search, trial: optuna.Trial | FrozenTrial) -> Path:
     return trial_folder(search, trial).with_suffix(".lock")
 
 
 def _run(search: Search, study: optuna.Study, trial: optuna.Trial) -> None:
-    folder = trial_folder(search, study.get_trials(deepcopy=False)[trial.number])
+    folder = trial_folder(search, trial)
     experiment = search.run.experiment
     try:
         sampled = sample_params(experiment, search.space, trial)
@@ -301,9 +299,7 @@ def write_report(search: Search, study: optuna.Study) -> list[Path]:
 
 def summary(study: optuna.Study) -> str:
     """Return the number of a study's trials by state, without repeated ones."""
-    trials = study.get_trials(deepcopy=False)
-    again = retried(trials)
-    states = [trial.state.name.lower() for trial in trials if trial.number not in again]
+    states = [trial.state.name.lower() for trial in counted(study)]
     return ", ".join(f"{states.count(name)} {name}" for name in dict.fromkeys(states))
 
 
