@@ -84,8 +84,6 @@ def check_jobs(jobs: Sequence[Run], folder: Path) -> None:
         if key not in tried:
             try_env(job.experiment.env_id, env_kwargs)
             tried.add(key)
-    if folder.exists() and not folder.is_dir():
-        raise CommandError(f"--log-folder must be a folder, got the file {folder}")
     check_writable(folder / LOCK_FILE, "--log-folder")
     for job in jobs:
         place = folder / job.folder

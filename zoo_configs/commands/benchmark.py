@@ -38,9 +38,8 @@ def main(argv: Sequence[str]) -> None:
     from zoo_configs.benchmarking.run import check_jobs, size_of, train_jobs
 
     passed = {"tasks": args.env, "baselines": args.baseline, "preset": args.preset, "seeds": args.seeds}
-    plan = replace(
-        read_plan(args.name), **{name: value for name, value in passed.items() if value is not None}
-    )
+    changes = {name: value for name, value in passed.items() if value is not None}
+    plan = replace(read_plan(args.name), **changes)
     jobs = build_jobs(plan, args.gym_packages, args.device, max(1, int(args.cpus)))
     if args.ray is None:
         check_device(args.device)
@@ -74,12 +73,14 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     add("-j", "--jobs", type=positive_int, help="simultaneous runs (default: cores divided by --cpus)")
     add("--cpus", type=positive_number, default=1.0, help="cores and threads of a run (default: 1)")
     add("--gpus", type=positive_number, help=gpus)
+    add("--memory", type=positive_number, help="with --ray: gigabytes of a run (default: see --dry-run)")
     add(
-        "--memory",
-        type=positive_number,
-        help="with --ray: gigabytes of a run (default: as listed by --dry-run)",
+        "--ray",
+        nargs="?",
+        const="auto",
+        metavar="ADDRESS",
+        help="train on a Ray cluster (default: auto)",
     )
-    add("--ray", nargs="?", const="auto", metavar="ADDRESS", help="train on a Ray cluster (default: local)")
     args = parser.parse_args(argv)
     if args.ray is None and (args.gpus is not None or args.memory is not None):
         parser.error("--gpus and --memory need --ray. Use -j for the number of runs on this machine")

@@ -60,9 +60,7 @@ def build_parser() -> argparse.ArgumentParser:
     add("-f", "--log-folder", type=Path, default=Path("logs"), help="folder of studies/ (default: logs)")
     add("--space", type=Path, help="YAML with the search space (default: that of the algorithm)")
     add("--n-trials", type=positive_int, default=100, help="trials of all processes (default: 100)")
-    add(
-        "--n-startup-trials", type=whole_number(0), default=10, help="random trials, not pruned (default: 10)"
-    )
+    add("--n-startup-trials", type=whole_number(0), default=10, help="trials at random (default: 10)")
     add("--n-evaluations", type=positive_int, default=8, help="evaluations of a trial (default: 8)")
     add("--pruner", choices=("median", "none"), default="median", help="default: median")
     add("--storage", help="URL of a database, or a journal file (default: a journal in the study's folder)")

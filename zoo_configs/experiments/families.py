@@ -5,7 +5,7 @@ import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from importlib import resources
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from bulletarm_gym.benchmarks import BENCHMARKS
@@ -157,11 +157,8 @@ def task_name(env_id: str) -> str:
 @functools.cache
 def families() -> tuple[Family, ...]:
     """Load all configuration files, in the order of their names."""
-    folder = resources.files("zoo_configs") / "hyperparams"
-    files = sorted(
-        (file for file in folder.iterdir() if file.name.endswith(".yml")), key=lambda file: file.name
-    )
-    return tuple(parse_family(file.name[:-4], file.read_text(encoding="utf-8")) for file in files)
+    folder = Path(__file__).resolve().parents[1] / "hyperparams"
+    return tuple(parse_family(path.stem, path.read_text("utf-8")) for path in sorted(folder.glob("*.yml")))
 
 
 def family_of(env_id: str) -> Family:

@@ -16,7 +16,7 @@ from stable_baselines3.common.noise import ActionNoise, NormalActionNoise, Ornst
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv, VecFrameStack, VecNormalize
 
 from zoo_configs.algorithms import class_from_path
-from zoo_configs.errors import CommandError
+from zoo_configs.errors import check_names
 
 ENV_KEYS = ("env_kwargs", "env_wrapper", "frame_stack", "monitor_kwargs", "normalize", "vec_env_wrapper")
 """Hyperparameters of the environments."""
@@ -113,17 +113,9 @@ def _described_classes(description: Any) -> list[tuple[type[Any], dict[str, Any]
 
 
 def action_noise(noise_type: str, std: float, action_space: spaces.Space[Any]) -> ActionNoise:
-    """
-    Return the noise of ``noise_type`` (normal or ornstein-uhlenbeck) and ``noise_std``.
-
-    :raises CommandError: for another noise type, or an action space that is not a Box
-    """
-    if noise_type not in NOISES or not isinstance(action_space, spaces.Box):
-        raise CommandError(
-            f"noise_type must be one of {', '.join(NOISES)} and needs a Box action space, "
-            f"got {noise_type!r} and {action_space}"
-        )
-    ones = np.ones(action_space.shape)
+    """Return the noise of ``noise_type`` (normal or ornstein-uhlenbeck) and ``noise_std``."""
+    check_names("noise_type", [noise_type], NOISES)
+    ones = np.ones(action_space.shape or ())
     noise: ActionNoise = NOISES[noise_type](mean=0 * ones, sigma=std * ones)
     return noise
 

@@ -7,7 +7,6 @@ import inspect
 import json
 import math
 from collections.abc import Mapping
-from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,7 +15,7 @@ import optuna
 from zoo_configs.algorithms import algorithm_classes, constructor_arguments
 from zoo_configs.errors import CommandError, check_names
 from zoo_configs.experiments.config import ExperimentConfig, look_up, merge
-from zoo_configs.files import parse_yaml, read_yaml
+from zoo_configs.files import read_yaml
 from zoo_configs.training.objects import SCHEDULE, TRAINER_KEYS
 
 KEYS = ("low", "high", "log", "choices", "needs")
@@ -97,8 +96,8 @@ def load_space(
 
 @functools.cache
 def _shipped_spaces() -> dict[str, Any]:
-    file = resources.files("zoo_configs") / "hyperparams" / "spaces" / "algorithms.yml"
-    return dict(parse_yaml(file.read_text(encoding="utf-8")))
+    folder = Path(__file__).resolve().parents[1] / "hyperparams" / "spaces"
+    return dict(read_yaml(folder / "algorithms.yml"))
 
 
 def parse_space(where: str, data: Any) -> list[Parameter]:

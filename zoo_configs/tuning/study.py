@@ -110,13 +110,10 @@ def open_study(search: Search) -> optuna.Study:
             study.set_user_attr(STUDY, search.about())
     begun = study.user_attrs[STUDY]
     if others := [name for name, value in search.about().items() if begun.get(name) != value]:
-        raise CommandError(
-            f"study {search.name} exists with other {', '.join(others)}. Use another --study-name."
-        )
+        different = f"study {search.name} exists with other {', '.join(others)}"
+        raise CommandError(f"{different}. Use another --study-name.")
     if study.user_attrs[FOLDER] != _identify(search.run.folder):
-        raise CommandError(
-            f"study {search.name} has another folder than {search.run.folder}. Share that folder."
-        )
+        raise CommandError(f"study {search.name} has another folder than {search.run.folder}. Share it.")
     return study
 
 
@@ -125,10 +122,8 @@ def _check_new(search: Search, study: optuna.Study) -> None:
     trials = len(study.get_trials(deepcopy=False))
     is_new = not trials and not study.user_attrs and study.directions == [StudyDirection.MAXIMIZE]
     if not is_new and FOLDER not in study.user_attrs:  # with it, a process of ours was killed
-        raise CommandError(
-            f"--study-name must be a new study or one of bulletarm-zoo tune, got {search.name} of another "
-            f"program ({trials} trials). Use another --study-name."
-        )
+        constraint = "a new study or one of bulletarm-zoo tune"
+        raise CommandError(f"--study-name must be {constraint}, got {search.name} with {trials} trials")
 
 
 def work(search: Search, study: optuna.Study, progress: bool = False) -> None:
