@@ -39,7 +39,7 @@ def main() -> None:
 
 def to_row(run: Run) -> Row:
     """Return the row of a run."""
-    curve, origin, status = load_curve(run.evaluations_file), origin_of(run), run.status
+    curve, origin = load_curve(run.evaluations_file), origin_of(run)
     evaluations = zip(curve.timesteps, curve.success, strict=True)
     return {
         "env": run.experiment.env_id,
@@ -48,7 +48,7 @@ def to_row(run: Run) -> Row:
         "measure": curve.measure,
         "episodes": str(curve.episodes),
         "evaluations": " ".join(f"{step}:{number(value, 4)}" for step, value in evaluations),
-        "state": "" if status is None else status.state.value,
+        "state": run.status.state.value,
         "minutes": number(float("nan") if origin.minutes is None else origin.minutes, 1),
         **{name: getattr(origin, name) for name in ("machine", "date", "commit", "command")},
     }

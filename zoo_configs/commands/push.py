@@ -64,6 +64,8 @@ def _to_hub(agent: Agent, args: argparse.Namespace) -> None:
     from huggingface_hub import HfApi
     from huggingface_hub.utils import validate_repo_id  # type: ignore[attr-defined]
 
+    from zoo_configs.drawing.video import write_video
+    from zoo_configs.recording import agent_actor, record
     from zoo_configs.training.runs import env_folder_name
 
     name = args.repo_name or f"{agent.label}-{env_folder_name(agent.env_id)}"
@@ -76,7 +78,10 @@ def _to_hub(agent: Agent, args: argparse.Namespace) -> None:
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         _pack(agent, folder, args, repo_id)
-        _record(agent, folder / "replay.mp4", args)  # the hub shows a file of this name
+        actor = agent_actor(agent, args.env_kwargs)
+        with closing(actor.env):
+            frames = list(record(actor, 2, args.seed, args.progress))
+        write_video(frames, folder / "replay.mp4")  # the hub shows a file of this name
         with refused(f"{repo_id} cannot be written"):
             url = hub.create_repo(repo_id=repo_id, exist_ok=True)
             hub.upload_folder(repo_id=repo_id, folder_path=folder, commit_message="Add the agent")
@@ -91,16 +96,6 @@ def _pack(agent: Agent, folder: Path, args: argparse.Namespace, repo_id: str | N
     options = EvalOptions(args.episodes, args.seed, env_kwargs=args.env_kwargs, progress=args.progress)
     card = pack(agent, folder, options, device=args.device, repo_id=repo_id)
     print(f"success_rate={card.success:.2f} episodes={card.episodes}")
-
-
-def _record(agent: Agent, path: Path, args: argparse.Namespace) -> None:
-    """Record two episodes."""
-    from zoo_configs.drawing.video import write_video
-    from zoo_configs.recording import agent_actor, record
-
-    actor = agent_actor(agent, args.env_kwargs)
-    with closing(actor.env):
-        write_video(list(record(actor, 2, args.seed, args.progress)), path)
 
 
 def _check_replaceable(folder: Path) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,9 +27,14 @@ def main(argv: Sequence[str]) -> None:
     args = _parse(argv)
     from zoo_configs.agents import register_run
     from zoo_configs.provenance import arithmetic
-    from zoo_configs.training.certificate import CHECKSUMS, first_difference
+    from zoo_configs.training.certificate import CHECKSUMS, first_difference, read_certificate
+    from zoo_configs.training.runs import load_run
 
-    run, certificate = _of_published(args) if args.published else _of_run(args.path)
+    if args.published:
+        run, certificate = _of_published(args)
+    else:
+        run = load_run(args.path)
+        certificate = read_certificate(run.certificate)
     register_run(run)
     recorded = [row for row in certificate[CHECKSUMS] if row["updates"] <= args.updates]
     last = recorded[-1]["updates"]
@@ -62,15 +67,7 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     return args
 
 
-def _of_run(folder: Path) -> tuple[Run, Mapping[str, Any]]:
-    from zoo_configs.training.certificate import read_certificate
-    from zoo_configs.training.runs import load_run
-
-    run = load_run(folder)
-    return run, read_certificate(run.certificate)
-
-
-def _of_published(args: argparse.Namespace) -> tuple[Run, Mapping[str, Any]]:
+def _of_published(args: argparse.Namespace) -> tuple[Run, dict[str, Any]]:
     from zoo_configs.experiments.config import ExperimentConfig
     from zoo_configs.publishing.published import find_published
     from zoo_configs.training.options import TrainingOptions
@@ -83,7 +80,9 @@ def _of_published(args: argparse.Namespace) -> tuple[Run, Mapping[str, Any]]:
     experiment = ExperimentConfig(card.algo, card.env, dict(card.hyperparams), baseline=card.baseline)
     options = TrainingOptions(**card.certificate["options"])
     device = card.certificate["device"]
-    return Run(found.folder, experiment, card.seed, device, options, card.gym_packages), card.certificate
+    return Run(found.folder, experiment, card.seed, device, options, card.gym_packages), dict(
+        card.certificate
+    )
 
 
 def _repeat(run: Run, updates: int, progress: bool) -> Sequence[Row]:

@@ -138,7 +138,7 @@ def run_lock(folder: Path, checkpoint: Path | None = None) -> Iterator[None]:
 
 def _spent(before: RunStatus, checkpoint: Path | None) -> float:
     """Return the earlier training time, that of a killed process up to its last checkpoint."""
-    if before.until or before.state is State.DONE or checkpoint is None:
+    if checkpoint is None or before.until or not before.since or before.state is State.DONE:
         return before.seconds
     return before.seconds + max(0.0, checkpoint.stat().st_mtime - before.since)
 
