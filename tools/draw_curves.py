@@ -59,8 +59,8 @@ def to_curve(row: Row) -> LearningCurve:
     pairs = [pair.split(":") for pair in row["evaluations"].split()]
     success, episodes = np.array([float(value) for _, value in pairs]), int(row["episodes"])
     variance = success * (1 - success) if row["measure"] == SUCCESS else np.full(len(pairs), np.nan)
-    steps, ones = np.array([int(step) for step, _ in pairs]), np.ones(len(pairs), dtype=np.int64)
-    return LearningCurve(steps, success, np.sqrt(variance / episodes), row["measure"], ones, episodes)
+    steps = np.array([int(step) for step, _ in pairs])
+    return LearningCurve(steps, success, np.sqrt(variance / episodes), row["measure"], episodes)
 
 
 if __name__ == "__main__":

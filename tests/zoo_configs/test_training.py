@@ -155,8 +155,8 @@ def test_rl_zoo3_evaluates_our_runs(algo, toy_id, tmp_path, monkeypatch):
 def test_a_run_folder_is_complete(run_folder, toy_id):
     names = {path.name for path in run_folder.iterdir()}
     models = {"BulletArm-CloseLoopToy-v0.zip", "best_model.zip", "checkpoints"}
-    reports = {"hyperparams.yml", "evaluations.npz", "training.csv", "learning_curve.png", "0.monitor.csv"}
-    assert names == {*models, *reports, "BulletArm-CloseLoopToy-v0", "state.yml", ".lock"}
+    reports = {"hyperparams.yml", "evaluations.npz", "training.csv", "certificate.yml", "learning_curve.png"}
+    assert names == {*models, *reports, "BulletArm-CloseLoopToy-v0", "state.yml", ".lock", "0.monitor.csv"}
     content = yaml.safe_load((run_folder / "hyperparams.yml").read_text())
     about = content["run"]
     assert (about["seed"], about["baseline"], about["preset"]) == (0, "equi_sacfd", "quick")

@@ -80,9 +80,8 @@ def _of_published(args: argparse.Namespace) -> tuple[Run, dict[str, Any]]:
     experiment = ExperimentConfig(card.algo, card.env, dict(card.hyperparams), baseline=card.baseline)
     options = TrainingOptions(**card.certificate["options"])
     device = card.certificate["device"]
-    return Run(found.folder, experiment, card.seed, device, options, card.gym_packages), dict(
-        card.certificate
-    )
+    run = Run(found.folder, experiment, card.seed, device, options, card.gym_packages)
+    return run, dict(card.certificate)
 
 
 def _repeat(run: Run, updates: int, progress: bool) -> Sequence[Row]:
