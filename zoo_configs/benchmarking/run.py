@@ -76,14 +76,13 @@ def check_jobs(jobs: Sequence[Run], folder: Path) -> None:
 
     :raises CommandError: if a run cannot be trained, or the folder contains other runs
     """
-    tried = set()
-    for job in {job.folder.parent: job for job in jobs}.values():
-        check_experiment(job.experiment)
-        env_kwargs = job.experiment.hyperparams.get("env_kwargs", {})
-        key = job.experiment.env_id, json.dumps(env_kwargs, sort_keys=True, default=str)
-        if key not in tried:
-            try_env(job.experiment.env_id, env_kwargs)
-            tried.add(key)
+    environments = {}
+    for experiment in {job.folder.parent: job.experiment for job in jobs}.values():
+        check_experiment(experiment)
+        env_kwargs = experiment.hyperparams.get("env_kwargs", {})
+        environments[json.dumps([experiment.env_id, env_kwargs], default=str)] = experiment.env_id, env_kwargs
+    for env_id, env_kwargs in environments.values():
+        try_env(env_id, env_kwargs)
     check_writable(folder / LOCK_FILE, "--log-folder")
     for job in jobs:
         place = folder / job.folder

@@ -80,10 +80,9 @@ def _search(args: argparse.Namespace) -> Search:
     experiment = find_experiment(args)
     check_experiment(experiment)
     name = args.study_name or f"{experiment.label}_{task_name(experiment.env_id)}"
-    given = {"verbose": 0, "save_freq": 0, **given_options(args)}
-    n_timesteps = int(given.get("n_timesteps", experiment.hyperparams["n_timesteps"]))
-    spacing = {"n_timesteps": n_timesteps, "eval_freq": max(n_timesteps // args.n_evaluations, 1)}
-    given = {**given, **spacing, "save_freq": given["save_freq"] or spacing["eval_freq"]}
+    given = {"verbose": 0, "n_timesteps": int(experiment.hyperparams["n_timesteps"]), **given_options(args)}
+    given["eval_freq"] = max(given["n_timesteps"] // args.n_evaluations, 1)
+    given["save_freq"] = given.get("save_freq") or given["eval_freq"]
     folder, options = args.log_folder / "studies" / name, TrainingOptions.of(experiment, given)
     run = Run(folder, experiment, args.seed, args.device, options, packages_of(args))
     space = load_space(experiment, args.hyperparams, args.space)

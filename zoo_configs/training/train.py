@@ -103,7 +103,7 @@ def resume_run(run: Run, progress: bool = False) -> Run:
         raise CommandError(f"eval_episodes must be {begun} as at the start, got {run.options.eval_episodes}")
     check_run(run, allow_mismatched_demos=True)  # the replay buffer contains the demonstrations
     checkpoint = _latest_checkpoint(run)
-    steps = _timesteps(checkpoint)
+    steps = int(checkpoint.name.split("_")[1])
     if run.status.state is State.DONE and steps >= run.n_timesteps:
         done = f"run {run.folder} is already finished ({steps} of {run.n_timesteps} steps)"
         raise CommandError(f"{done}. Pass a larger -n to continue.")
@@ -158,11 +158,6 @@ def _latest_checkpoint(run: Run) -> Path:
     for damage in damaged:
         print(f"{damage}. Resuming from {checkpoint}", file=sys.stderr)
     return checkpoint
-
-
-def _timesteps(checkpoint: Path) -> int:
-    """Return the time steps of a checkpoint, from its name."""
-    return int(checkpoint.name.split("_")[1])
 
 
 def _train(run: Run, checkpoint: Path | None, callbacks: Sequence[BaseCallback], progress: bool) -> Run:

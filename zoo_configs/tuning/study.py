@@ -213,12 +213,9 @@ def _run(search: Search, study: optuna.Study, trial: optuna.Trial) -> None:
 def describe(trial: FrozenTrial) -> str:
     """Return number, result and values of a trial in one line."""
     ended = f"{trial.value:.3f}" if trial.value is not None else trial.user_attrs.get(ERROR, "")
-    values = ", ".join(f"{name} {_short(value)}" for name, value in trial.params.items())
+    short = {name: f"{v:.3g}" if isinstance(v, float) else v for name, v in trial.params.items()}
+    values = ", ".join(f"{name} {value}" for name, value in short.items())
     return f"trial {trial.number}: {trial.state.name.lower()} {ended} ({values})"
-
-
-def _short(value: Any) -> str:
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
 def _storage(search: Search) -> BaseStorage:
