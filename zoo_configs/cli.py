@@ -2,6 +2,7 @@
 
 import importlib
 import os
+import select
 import sys
 from collections.abc import Sequence
 from importlib import metadata
@@ -65,11 +66,21 @@ def _run(name: str, arguments: Sequence[str]) -> None:
         raise unknown_name("command", name, COMMANDS)
 
 
+def _is_unread(error: Exception) -> bool:
+    """Return True if the reader of the output, such as ``head``, has gone."""
+    if not isinstance(error, BrokenPipeError):
+        return False
+    poll = select.poll()
+    try:
+        poll.register(sys.stdout, select.POLLOUT)
+    except OSError:  # not a file
+        return False
+    return any(event & select.POLLERR for _, event in poll.poll(0))
+
+
 def _report(name: str, error: Exception) -> int:
     """Print an error in one line and return the exit code."""
-    try:
-        sys.stdout.flush()
-    except BrokenPipeError:  # the reader of the output, such as ``head``, has gone
+    if _is_unread(error):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for the remaining output
         return 141  # 128 + SIGPIPE
     if isinstance(error, CommandError) or (isinstance(error, OSError) and error.errno is not None):
