@@ -39,7 +39,7 @@ def main() -> None:
 
 def to_row(run: Run) -> Row:
     """Return the row of a run."""
-    curve, origin, status = load_curve(run.evaluations_file), origin_of(run), run.status
+    curve, origin = load_curve(run.evaluations_file), origin_of(run)
     evaluations = zip(curve.timesteps, curve.success, strict=True)
     return {
         "env": run.experiment.env_id,
@@ -48,7 +48,7 @@ def to_row(run: Run) -> Row:
         "measure": curve.measure,
         "episodes": str(curve.episodes),
         "evaluations": " ".join(f"{step}:{number(value, 4)}" for step, value in evaluations),
-        "state": "" if status is None else status.state.value,
+        "state": run.status.state.value,
         "minutes": number(float("nan") if origin.minutes is None else origin.minutes, 1),
         **{name: getattr(origin, name) for name in ("machine", "date", "commit", "command")},
     }
@@ -59,8 +59,8 @@ def to_curve(row: Row) -> LearningCurve:
     pairs = [pair.split(":") for pair in row["evaluations"].split()]
     success, episodes = np.array([float(value) for _, value in pairs]), int(row["episodes"])
     variance = success * (1 - success) if row["measure"] == SUCCESS else np.full(len(pairs), np.nan)
-    steps, ones = np.array([int(step) for step, _ in pairs]), np.ones(len(pairs), dtype=np.int64)
-    return LearningCurve(steps, success, np.sqrt(variance / episodes), row["measure"], ones, episodes)
+    steps = np.array([int(step) for step, _ in pairs])
+    return LearningCurve(steps, success, np.sqrt(variance / episodes), row["measure"], episodes)
 
 
 if __name__ == "__main__":

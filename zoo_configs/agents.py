@@ -1,6 +1,6 @@
 """Trained agents: finding and loading them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -166,8 +166,10 @@ def algorithm_of(path: Path) -> str:
     return max(scores, key=lambda name: scores[name])
 
 
-def load_model(path: Path, algo: str, device: str = "auto") -> BaseAlgorithm:
-    """Load a model file for acting, without a replay buffer."""
+def load_model(
+    path: Path, algo: str, device: str = "auto", objects: Mapping[str, Any] = UNUSED_OBJECTS
+) -> BaseAlgorithm:
+    """Load a model file without a replay buffer, by default only for acting."""
     algorithms = algorithm_classes()
     if algo not in algorithms:
         raise unknown_name("algorithm", algo, algorithms)
@@ -178,7 +180,7 @@ def load_model(path: Path, algo: str, device: str = "auto") -> BaseAlgorithm:
     buffer = {"buffer_size": 1} if has_buffer else {}
     with refused(f"{path} is damaged or from another version"):
         model: BaseAlgorithm = algorithms[algo].load(
-            path, device=device, custom_objects=UNUSED_OBJECTS, **buffer
+            path, device=device, custom_objects=dict(objects), **buffer
         )
     return model
 
@@ -195,6 +197,4 @@ def _published_agent(query: AgentQuery) -> Agent:
 
 def load_published(found: Published, device: str = "auto") -> BaseAlgorithm:
     """Load a published agent."""
-    with refused(f"{found.model_file} is damaged or from another version"):
-        model: BaseAlgorithm = algorithm_classes()[found.card.algo].load(found.model_file, device=device)
-    return model
+    return load_model(found.model_file, found.card.algo, device, objects={})

@@ -1,8 +1,8 @@
 """Algorithms by name: ours, Stable-Baselines3's and sb3-contrib's."""
 
 import functools
-import importlib
 import inspect
+import pkgutil
 from collections.abc import Mapping
 from typing import Any
 
@@ -34,11 +34,10 @@ OTHERS = {
 
 
 def class_from_path(path: str) -> type[Any]:
-    """Import a class from ``package.module.Class``; raise ``ImportError`` if it does not exist."""
-    module, _, name = path.rpartition(".")
-    found = getattr(importlib.import_module(module), name, None)
+    """Import a class from ``package.module.Class``; raise ``ImportError`` if it is not a class."""
+    found = pkgutil.resolve_name(path)
     if not isinstance(found, type):
-        raise ImportError(f"{module} has no class {name}")
+        raise ImportError(f"{path} is not a class")
     return found
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import math
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import fields
 from pathlib import Path
@@ -30,13 +32,7 @@ class Parser(argparse.ArgumentParser):
 class KeyValues(argparse.Action):
     """Flag with ``key:value ...``, whose values are YAML. A repeated flag adds keys."""
 
-    def __call__(
-        self,
-        parser: argparse.ArgumentParser,
-        namespace: argparse.Namespace,
-        values: Any,
-        option_string: str | None = None,
-    ) -> None:
+    def __call__(self, parser: Any, namespace: Any, values: Any, option_string: str | None = None) -> None:
         """Parse the pairs of a flag; raise ``CommandError`` for an invalid pair or a repeated key."""
         pairs = [_key_value(str(option_string), pair) for pair in values]
         keys = [key for key, _ in pairs]
@@ -76,21 +72,18 @@ def check_device(name: str) -> None:
         ) from error
 
 
-def whole_number(least: int, most: int | None = None) -> Callable[[str], int]:
-    """Return an argument type for whole numbers from ``least`` to ``most`` (None: unlimited)."""
+def whole_number(least: int, most: float = math.inf) -> Callable[[str], int]:
+    """Return an argument type for whole numbers from ``least`` to ``most``."""
 
-    def number(text: str) -> int:
+    def integer(text: str) -> int:
         """Parse a number within the limits."""
-        try:
-            value = int(text)
-        except ValueError:
-            value = least - 1
-        if value < least or (most is not None and value > most):
-            limits = f"at least {least}" if most is None else f"at least {least} and at most {most}"
-            raise argparse.ArgumentTypeError(f"must be a whole number of {limits}, got {text!r}")
+        value = int(text)
+        if not least <= value <= most:
+            limits = f"at least {least}" if most == math.inf else f"from {least} to {most}"
+            raise argparse.ArgumentTypeError(f"must be a whole number {limits}, got {text!r}")
         return value
 
-    return number
+    return integer
 
 
 positive_int = whole_number(1)
@@ -120,29 +113,21 @@ def add_key_values(parser: argparse.ArgumentParser, *flags: str, **kwargs: Any) 
 
 
 def add_progress(parser: argparse.ArgumentParser) -> None:
-    """Add the flags for progress bars. ``args.progress`` is None if neither is passed."""
-    on_off = argparse.BooleanOptionalAction
-    parser.add_argument(
-        "-P", "--progress", action=on_off, help="show a progress bar (default: on a terminal)"
-    )
-
-
-def hides_progress(progress: bool | None) -> bool | None:
-    """Return tqdm's argument ``disable`` for ``args.progress``; None hides the bar without a terminal."""
-    return None if progress is None else not progress
+    """Add the flags for progress bars."""
+    on_off, text = argparse.BooleanOptionalAction, "show a progress bar (default: on a terminal)"
+    parser.add_argument("-P", "--progress", action=on_off, help=text)
+    parser.set_defaults(progress=sys.stderr.isatty())
 
 
 def add_agent_flags(parser: argparse.ArgumentParser, is_run: bool = False) -> None:
     """Add the flags that describe an agent, with ``is_run`` that of a run, and its test scenes."""
     add = parser.add_argument
-    folder = "run folder, as train prints it"
     if is_run:
-        add("path", nargs="?", type=Path, metavar="RUN_FOLDER", help=folder)
+        add("path", nargs="?", type=Path, metavar="RUN_FOLDER", help="run folder, as train prints it")
     else:
-        model = f"{folder}, or a model that save() wrote (with --env)"
+        model = "run folder, as train prints it, or a model that save() wrote (with --env)"
         add("path", nargs="?", type=Path, metavar="RUN_FOLDER|FILE.zip", help=model)
-        published = "load the agent that the package contains for this task, or a folder written by push"
-        add("--published", metavar="TASK", help=published)
+        add("--published", metavar="TASK", help="agent of the package, or a folder written by push")
     add("--env", help="environment id; without a path the newest run on this environment is loaded")
     add("--baseline", help="load the newest run of this baseline")
     add("--algo", help="load the newest run of this algorithm, or of the baseline of this name")
@@ -150,10 +135,8 @@ def add_agent_flags(parser: argparse.ArgumentParser, is_run: bool = False) -> No
     add("-f", "--log-folder", type=Path, default=Path("logs"), help="folder of all runs (default: logs)")
     add("--device", default="auto", help="PyTorch device (default: auto)")
     add("--seed", type=seed, default=0, help="seed of the test scenes (default: 0)")
-    best = "load the model with the best evaluation (the default)"
-    group = parser.add_mutually_exclusive_group()
-    group.add_argument("--load-best", action="store_true", default=True, help=best)
-    group.add_argument("--load-last", action="store_false", dest="load_best", help="load the last model")
+    add("--load-best", action="store_true", default=True, help="load the best model (the default)")
+    add("--load-last", action="store_false", dest="load_best", help="load the last model")
     add_packages(parser)
     add_env_kwargs(parser)
     add_progress(parser)

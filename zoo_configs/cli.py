@@ -13,10 +13,6 @@ from zoo_configs.errors import CommandError, reason, reason_and_place, unknown_n
 PROGRAM = "bulletarm-zoo"
 DISTRIBUTION = "bulletarm-gym"
 TRACEBACK = "--traceback"
-EXIT_OK = 0
-EXIT_USAGE = 2
-EXIT_INTERRUPTED = 130  # 128 + SIGINT, the shell's convention
-EXIT_UNREAD = 141  # 128 + SIGPIPE
 COMMANDS = {
     "train": "train an agent, or resume a training",
     "tune": "search hyperparameters with Optuna",
@@ -49,12 +45,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout.flush()
     except KeyboardInterrupt:
         print(f"\n{PROGRAM} {name}: interrupted", file=sys.stderr)
-        return EXIT_INTERRUPTED
+        return 130  # 128 + SIGINT, the shell's convention
     except Exception as error:
         if raises:
             raise
         return _report(name, error)
-    return EXIT_OK
+    return 0
 
 
 def _run(name: str, arguments: Sequence[str]) -> None:
@@ -86,14 +82,14 @@ def _report(name: str, error: Exception) -> int:
     """Print an error in one line and return the exit code."""
     if _is_unread(error):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for the remaining output
-        return EXIT_UNREAD
+        return 141  # 128 + SIGPIPE
     if isinstance(error, CommandError) or (isinstance(error, OSError) and error.errno is not None):
         message = reason(error)
     else:  # most likely in a user's task or policy
         hint = f"{PROGRAM} {TRACEBACK} {name} ... shows the traceback"
         message = f"{reason_and_place(error)}; {hint}"
     print(f"{PROGRAM} {name}: error: {message}", file=sys.stderr)
-    return EXIT_USAGE
+    return 2
 
 
 def usage() -> str:

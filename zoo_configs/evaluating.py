@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from zoo_configs.arguments import hides_progress
 from zoo_configs.environments import try_env
 from zoo_configs.errors import CommandError, refused
 from zoo_configs.training.seeds import SeedStream, stream_seed
 
 if TYPE_CHECKING:
-    from stable_baselines3.common.base_class import BaseAlgorithm
     from stable_baselines3.common.vec_env import VecEnv
 
     from zoo_configs.agents import Agent
@@ -29,14 +26,14 @@ class EvalOptions:
     :param seed: Seed of the test scenes
     :param n_envs: Number of environments; more than one run in processes
     :param env_kwargs: Changed parameters of the environment
-    :param progress: Whether to show a progress bar; None shows it on a terminal
+    :param progress: Whether to show a progress bar
     """
 
     episodes: int = 50
     seed: int = 0
     n_envs: int = 1
     env_kwargs: Mapping[str, Any] = field(default_factory=dict)
-    progress: bool | None = None
+    progress: bool = False
 
 
 class Outcome(NamedTuple):
@@ -85,17 +82,20 @@ def build_test_env(agent: Agent, options: EvalOptions) -> VecEnv:
         )
 
 
-def evaluate(model: BaseAlgorithm, env: VecEnv, options: EvalOptions) -> Outcome:
+def evaluate_agent(agent: Agent, options: EvalOptions) -> Outcome:
     """
-    Evaluate a model with its deterministic policy and return the outcome of the finished episodes.
+    Evaluate an agent with its deterministic policy in its own environment.
 
-    The environments report ``is_success`` at the end of an episode. Ctrl-C ends the evaluation early.
+    :raises CommandError: if the environment cannot be built, or does not fit the agent
     """
     from stable_baselines3.common.evaluation import evaluate_policy
     from tqdm import tqdm
 
     outcome = Outcome([], [])
-    with tqdm(total=options.episodes, unit="episode", disable=hides_progress(options.progress)) as bar:
+    with (
+        closing(build_test_env(agent, options)) as env,
+        tqdm(total=options.episodes, unit="episode", disable=not options.progress) as bar,
+    ):
 
         def note(local: dict[str, Any], _: dict[str, Any]) -> None:
             if local["done"]:
@@ -104,23 +104,8 @@ def evaluate(model: BaseAlgorithm, env: VecEnv, options: EvalOptions) -> Outcome
                 bar.update()
                 bar.set_postfix(success=f"{outcome.success_rate:.2f}")
 
-        with contextlib.suppress(KeyboardInterrupt):
-            evaluate_policy(model, env, options.episodes, callback=note)
-    return outcome
-
-
-def evaluate_agent(agent: Agent, options: EvalOptions) -> Outcome:
-    """
-    Evaluate an agent in its own environment.
-
-    :raises CommandError: if the environment cannot be built, or does not fit the agent
-    :raises KeyboardInterrupt: after Ctrl-C
-    """
-    with closing(build_test_env(agent, options)) as env:
         check_fits(env, agent)
-        outcome = evaluate(agent.model, env, options)
-    if outcome.episodes < options.episodes:
-        raise KeyboardInterrupt
+        evaluate_policy(agent.model, env, options.episodes, callback=note)
     return outcome
 
 

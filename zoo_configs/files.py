@@ -5,7 +5,7 @@ import os
 import re
 import tempfile
 import uuid
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -23,18 +23,29 @@ def whole_file(path: Path) -> Iterator[Path]:
     :param path: The file to write; its folder is created
     :return: Context manager of the temporary file, which has the same suffix
     """
-    made = missing_folders(path.parent)
-    path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f".{path.stem}-{uuid.uuid4().hex}{path.suffix}")
+    with made_folder(path.parent):
+        try:
+            yield partial
+            os.replace(partial, path)
+        except OSError as error:
+            error.filename = error.filename or str(path)  # the error of a full disk has no file name
+            raise
+        finally:
+            partial.unlink(missing_ok=True)
+
+
+@contextmanager
+def made_folder(path: Path) -> Iterator[None]:
+    """Create a folder with its parents, and remove those that are empty after the block."""
+    created = [folder for folder in (path, *path.parents) if not folder.exists()]
+    path.mkdir(parents=True, exist_ok=True)
     try:
-        yield partial
-        os.replace(partial, path)
-    except OSError as error:
-        error.filename = error.filename or str(path)  # the error of a full disk has no file name
-        raise
+        yield
     finally:
-        partial.unlink(missing_ok=True)
-        remove_empty(made)
+        with contextlib.suppress(OSError):  # not empty, so neither are its parents
+            for folder in created:
+                folder.rmdir()
 
 
 def check_writable(path: Path, name: str) -> None:
@@ -51,18 +62,6 @@ def check_writable(path: Path, name: str) -> None:
 def print_written(*paths: Path) -> None:
     """Print the files that a command has written."""
     print("\n".join(["Written:", *(f"  {path}" for path in paths)]))
-
-
-def missing_folders(path: Path) -> list[Path]:
-    """Return the folders of a path that do not exist, innermost first."""
-    return [folder for folder in (path, *path.parents) if not folder.exists()]
-
-
-def remove_empty(folders: Iterable[Path]) -> None:
-    """Remove empty folders, innermost first."""
-    with contextlib.suppress(OSError):  # not empty, so neither are its parents
-        for folder in folders:
-            folder.rmdir()
 
 
 SCALARS = {

@@ -10,9 +10,7 @@ from bulletarm_gym.check import machine
 
 DISTRIBUTION = "bulletarm-gym"
 PACKAGES = (DISTRIBUTION, "torch", "stable-baselines3", "gymnasium", "pybullet", "numpy")
-COMMIT_DIGITS = 7
 HERE = Path(__file__).resolve()
-GIT_SECONDS = 10.0
 
 
 def versions() -> dict[str, str]:
@@ -50,7 +48,7 @@ def commit() -> str:
     :return: Abbreviated commit of the checkout, with ``-dirty`` if tracked files were changed; outside a
         checkout the version of the package
     """
-    words = ("describe", "--always", f"--abbrev={COMMIT_DIGITS}", "--dirty", "--exclude=*")
+    words = ("describe", "--always", "--abbrev=7", "--dirty", "--exclude=*")
     if _git("ls-files", "--error-unmatch", HERE.name) is not None and (found := _git(*words)):
         return found
     return f"version {metadata.version(DISTRIBUTION)}"
@@ -60,7 +58,7 @@ def _git(*words: str) -> str | None:
     """Return the output of a git command in this folder, None without git or a checkout."""
     command = ["git", "-C", str(HERE.parent), *words]
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=GIT_SECONDS, check=True)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=10.0, check=True)
     except (OSError, subprocess.SubprocessError):
         return None
     return done.stdout.strip()

@@ -10,7 +10,6 @@ import gymnasium as gym
 from tqdm import trange
 
 from zoo_configs.agents import Agent
-from zoo_configs.arguments import hides_progress
 from zoo_configs.drawing.video import FRAMES_PER_SECOND, Frame, ValueMap, compose_frame, observed_images
 from zoo_configs.environments import known_env_id, make_env, tried_env
 from zoo_configs.errors import CommandError, refused
@@ -98,15 +97,15 @@ def _pixel_values(policy: Any) -> Callable[[Any], ValueMap] | None:
     return evaluate
 
 
-def record(actor: Actor, episodes: int, seed: int, progress: bool | None = None) -> Iterator[Frame]:
+def record(actor: Actor, episodes: int, seed: int, progress: bool = False) -> Iterator[Frame]:
     """
     Play episodes in an actor's environment, which stays open, and yield their frames.
 
     :param seed: Seed of the scenes
-    :param progress: Whether to show a progress bar; None shows it on a terminal
+    :param progress: Whether to show a progress bar
     """
     first_seed, successes = stream_seed(seed, SeedStream.TEST), 0
-    for episode in trange(episodes, unit="episode", disable=hides_progress(progress)):
+    for episode in trange(episodes, unit="episode", disable=not progress):
         title = f"episode {episode + 1} of {episodes}"
         *frames, (last, success) = _record_episode(actor, first_seed + episode, title)
         yield from (frame for frame, _ in frames)

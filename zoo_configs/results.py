@@ -1,20 +1,21 @@
 """Results of many runs: experiments, success by seed, and tables."""
 
-import csv
 import json
 import sys
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from scipy.stats import trim_mean
 
 from zoo_configs.drawing.curves import LearningCurve, load_curve
 from zoo_configs.drawing.tables import markdown_table
 from zoo_configs.errors import CommandError
+from zoo_configs.experiments.config import leaves
 from zoo_configs.experiments.families import task_name
 from zoo_configs.files import whole_file
 from zoo_configs.training.runs import Origin, Run, find_runs, origin_of
@@ -37,6 +38,7 @@ class Result:
     run: Run
     curve: LearningCurve
     origin: Origin
+    is_done: bool
 
     @property
     def success(self) -> float:
@@ -48,12 +50,6 @@ class Result:
         """Time step of the last evaluation."""
         return int(self.curve.timesteps[-1])
 
-    @property
-    def is_done(self) -> bool:
-        """Whether the run is done."""
-        status = self.run.status
-        return status is not None and status.state is State.DONE
-
 
 @dataclass
 class ExperimentResults:
@@ -63,20 +59,20 @@ class ExperimentResults:
     :param env_id: Id of the environment
     :param baseline: Baseline or algorithm
     :param settings: Everything else that defines the experiment, by dotted name
-    :param label: Baseline, with the settings that distinguish it from other experiments on this environment
     :param results: Results by seed
+    :param label: Baseline, with the settings that distinguish it from other experiments on this environment
     """
 
     env_id: str
     baseline: str
     settings: Mapping[str, Any]
+    results: dict[int, Result]
     label: str = ""
-    results: dict[int, Result] = field(default_factory=dict)
 
     @property
     def success(self) -> dict[int, float]:
         """Success in the last evaluation, by seed."""
-        return {seed: self.results[seed].success for seed in sorted(self.results)}
+        return {seed: result.success for seed, result in self.results.items()}
 
 
 def read_experiments(
@@ -93,32 +89,31 @@ def read_experiments(
     :return: The experiments, sorted by environment and label
     :raises CommandError: if no run fits
     """
-    found: dict[str, ExperimentResults] = {}
+    groups: defaultdict[str, list[Run]] = defaultdict(list)
     for run in find_runs(log_folder):
         is_wanted = env_ids is None or run.experiment.env_id in env_ids
-        if is_wanted and (baselines is None or run.experiment.baseline in baselines):
-            if run.evaluations_file.is_file():
-                new = ExperimentResults(run.experiment.env_id, run.experiment.label, settings_of(run))
-                key = json.dumps([new.env_id, new.baseline, new.settings], default=str)
-                _add(found.setdefault(key, new), run)
-    if not found:
+        is_wanted &= baselines is None or run.experiment.baseline in baselines
+        if is_wanted and run.evaluations_file.is_file():
+            names = run.experiment.env_id, run.experiment.label
+            groups[json.dumps([*names, settings_of(run)], default=str)].append(run)
+    if not groups:
         raise CommandError(f"no evaluated run of these environments and baselines in {log_folder}")
-    for one in found.values():
-        names = one.env_id, one.baseline
-        one.label = _label(
-            one, [other for other in found.values() if (other.env_id, other.baseline) == names]
-        )
-    return sorted(found.values(), key=lambda one: (one.env_id, one.label))
+    found = list(map(_results_of, groups.values()))
+    for one in found:
+        alike = [other for other in found if (other.env_id, other.baseline) == (one.env_id, one.baseline)]
+        one.label = _label(one, alike)
+    return sorted(found, key=lambda one: (one.env_id, one.label))
 
 
-def _add(experiment: ExperimentResults, run: Run) -> None:
-    """Add the result of a run, unless that of a longer one with the same seed is known."""
-    result = Result(run, load_curve(run.evaluations_file), origin_of(run))
-    other = experiment.results.get(run.seed, result)
-    left, kept = sorted((other, result), key=lambda one: one.steps)
-    experiment.results[run.seed] = kept
-    if left is not kept:
-        print(f"left out: {left.run.folder} repeats {kept.run.folder}", file=sys.stderr)
+def _results_of(runs: Iterable[Run]) -> ExperimentResults:
+    """Return the results of an experiment, of the longest run with each seed."""
+    curves = [(run, load_curve(run.evaluations_file)) for run in runs]
+    results: dict[int, Result] = {}
+    for run, curve in sorted(curves, key=lambda pair: (pair[0].seed, pair[1].timesteps[-1])):
+        if run.seed in results:
+            print(f"left out: {results[run.seed].run.folder} repeats {run.folder}", file=sys.stderr)
+        results[run.seed] = Result(run, curve, origin_of(run), run.status.state is State.DONE)
+    return ExperimentResults(run.experiment.env_id, run.experiment.label, settings_of(run), results)
 
 
 def settings_of(run: Run) -> dict[str, Any]:
@@ -126,16 +121,8 @@ def settings_of(run: Run) -> dict[str, Any]:
     experiment = run.experiment
     axes = {"algo": experiment.algo, "preset": experiment.preset, "benchmark": experiment.benchmark}
     options = {"trained_agent": run.options.trained_agent, "n_timesteps": run.n_timesteps}
-    return {**axes, **dict(_flat(experiment.hyperparams)), **options}
-
-
-def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, Any]]:
-    """Yield the values of nested mappings by dotted name; parameters of the environment have no prefix."""
-    for name, value in values.items():
-        if isinstance(value, Mapping):
-            yield from _flat(value, "" if name == "env_kwargs" else f"{prefix}{name}.")
-        else:
-            yield f"{prefix}{name}", value
+    values = {name.removeprefix("env_kwargs."): value for name, value in leaves(experiment.hyperparams)}
+    return {**axes, **values, **options}
 
 
 def _label(own: ExperimentResults, others: Iterable[ExperimentResults]) -> str:
@@ -195,34 +182,29 @@ def write_tables(experiments: Sequence[ExperimentResults], picture: Path) -> lis
     :return: A Markdown file with figure, tables, commands and machines, and a CSV file with one row a run
     """
     page, table = picture.with_suffix(".md"), picture.with_suffix(".csv")
-    firsts = [_results([experiment])[0] for experiment in experiments]
+    results = [(one.env_id, one.label, result) for one in experiments for result in one.results.values()]
     parts = [
         f"![Success in the evaluations, mean over the seeds and its standard error]({picture.name})",
         markdown_table(HEADS, list(map(experiment_row, experiments))),
         markdown_table(BASELINE_HEADS, baseline_rows(experiments)),
         EXPLANATION,
         "Commands that repeat the first seed of each experiment:",
-        "\n".join(f"    {result.origin.command}" for result in firsts),
+        "\n".join(f"    {next(iter(one.results.values())).origin.command}" for one in experiments),
         "Machines:",
-        "\n".join(dict.fromkeys(map(_machine, _results(experiments)))),
+        "\n".join(dict.fromkeys(_machine(result) for *_, result in results)),
     ]
     with whole_file(page) as partial:
         partial.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
-    with whole_file(table) as partial, partial.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(RUN_HEADS)
-        writer.writerows(_run_row(one, result) for one in experiments for result in _results([one]))
+    with whole_file(table) as partial:
+        rows = [_run_row(*one) for one in results]
+        pd.DataFrame(rows, columns=RUN_HEADS).to_csv(partial, index=False)
     return [page, table]
 
 
-def _results(experiments: Iterable[ExperimentResults]) -> list[Result]:
-    return [experiment.results[seed] for experiment in experiments for seed in sorted(experiment.results)]
-
-
-def _run_row(experiment: ExperimentResults, result: Result) -> list[Any]:
+def _run_row(env_id: str, label: str, result: Result) -> list[Any]:
     origin, done = result.origin, "yes" if result.is_done else "no"
     last = result.success, result.steps, done, origin.minutes
-    return [experiment.env_id, experiment.label, result.run.seed, *last, origin.machine, origin.command]
+    return [env_id, label, result.run.seed, *last, origin.machine, origin.command]
 
 
 def _machine(result: Result) -> str:

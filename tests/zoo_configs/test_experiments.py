@@ -4,7 +4,6 @@ import os
 from pathlib import Path
 
 import gymnasium as gym
-import numpy as np
 import pytest
 import yaml
 from sweeps import ALL
@@ -14,7 +13,6 @@ from bulletarm_gym.config import Context, EnvConfig
 from bulletarm_gym.registry import TASKS
 from sb3_extensions.encoders.cnn import plan_stages
 from sb3_extensions.replay.sampling import PrioritizedSampler, make_sampler
-from sb3_extensions.spatial_dqn.codec import SpatialActionCodec
 from zoo_configs.cli import main
 from zoo_configs.commands.train import build_parser
 from zoo_configs.errors import CommandError
@@ -178,10 +176,12 @@ def test_layers_have_a_fixed_order():
     }
     family = parse_family("mine", yaml.safe_dump(content, sort_keys=False))
     layers = list(family.layers(Case("cpu", "Any/Toy-v0", None, family.baselines["rad_sac"])))
-    assert [layer.hyperparams["gamma"] for layer in layers[1:]] == [number / 10 for number in range(9)]
+    assert [layer.values["hyperparams"]["gamma"] for layer in layers[1:]] == [
+        number / 10 for number in range(9)
+    ]
     assert layers[-1].source == "mine.yml, presets.cpu.tasks.Toy.networks.cnn"
     other = list(family.layers(Case("cpu", "Any/Other-v0", None, family.baselines["sacfd"])))
-    assert [layer.hyperparams["gamma"] for layer in other[1:]] == [0.0, 0.1, 0.4, 0.5]
+    assert [layer.values["hyperparams"]["gamma"] for layer in other[1:]] == [0.0, 0.1, 0.4, 0.5]
     family = parse_family("mine", yaml.safe_dump({**content, "defaults": {"sets": {}}}))
     with pytest.raises(CommandError, match="'sets', did you mean 'set'"):
         list(family.layers(Case("cpu", PICKING, None, family.baselines["sacfd"])))
@@ -196,19 +196,6 @@ def test_overrides_are_merged_last_and_shared_with_nothing():
     hyperparams["env_kwargs"]["obs_size"] = 1
     assert hyperparams_of("equi_sacfd", "cpu", PICKING)["env_kwargs"]["obs_size"] == 64
     assert merge({"a": {"b": [1], "c": 2}}, {"a": {"b": [3]}}) == {"a": {"b": [3], "c": 2}}
-
-
-def test_a_grid_of_actions_covers_the_yaws_and_the_workspace():
-    workspace = [[0.3, 0.6], [-0.15, 0.15], [0.01, 0.25]]
-    given = {"env_kwargs": {"half_rotation": False, "workspace": workspace, "random_orientation": True}}
-    codec_kwargs = hyperparams_of("sdqfd_equi_asr", "cpu", STACKING, given)["policy_kwargs"]["codec_kwargs"]
-    codec = SpatialActionCodec(64, "pxyr", **codec_kwargs)
-    assert codec.workspace_size == pytest.approx(0.3)
-    pick = codec.decode(np.array([[32, 32, 8]]), np.array([False]))[0]
-    assert pick[3] * np.pi == pytest.approx(8 * np.pi / codec.shape[2])
-    given["policy_kwargs"] = {"codec_kwargs": {"theta_bounds": [-4.0, 4.0]}}
-    hyperparams = hyperparams_of("sdqfd_equi_asr", "cpu", STACKING, given)
-    assert hyperparams["policy_kwargs"]["codec_kwargs"]["theta_bounds"] == [-4.0, 4.0]
 
 
 @pytest.mark.parametrize("size", [16, 48, 64, 224])

@@ -144,9 +144,6 @@ class Hub:
     uploaded: ClassVar[dict[str, Any]] = {}
     reachable = True
 
-    def __init__(self, token):
-        self.token = token
-
     def whoami(self):
         if not self.reachable:
             raise ConnectionError("Name or service not known")
@@ -252,6 +249,4 @@ def test_a_hub_that_cannot_be_used_is_one_line(run_folder, refuse, hub, monkeypa
     assert "--organization" in refuse(*words, "a/b")
     monkeypatch.setattr(hub, "reachable", False)
     assert "Hugging Face" in refuse(*words, "arms")
-    monkeypatch.setattr("huggingface_hub.get_token", lambda: None)
-    assert "token" in refuse(*words, "arms")
     assert not hub.uploaded

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from zoo_configs.benchmarking.process import GRACE, POLL, ExitCode, JobProcess, check_storage, stop
+from zoo_configs.benchmarking.run import GIGABYTE
 from zoo_configs.environments import register_environments
 from zoo_configs.errors import CommandError, reason
 from zoo_configs.files import check_writable
@@ -21,7 +22,6 @@ from zoo_configs.provenance import versions
 from zoo_configs.training.runs import CHECKPOINT_FOLDER, Run
 from zoo_configs.training.state import State, set_status
 
-GIGABYTE = 1e9
 CONNECTING_SECONDS = 15.0
 CONNECT = "import logging, ray, sys; ray.init(address=sys.argv[1], logging_level=logging.ERROR)"
 TOKEN = ".benchmark-"
@@ -55,18 +55,6 @@ def check_address(address: str) -> None:
         raise CommandError(f"--ray: no Ray cluster at {address} ({why}). {advice}") from error
 
 
-@contextmanager
-def connected(address: str) -> Iterator[None]:
-    """Connect to a Ray cluster, whose address :func:`check_address` has checked."""
-    import ray
-
-    ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
-    try:
-        yield
-    finally:
-        ray.shutdown()
-
-
 def machines() -> list[dict[str, Any]]:
     """Return Ray's descriptions of the machines that can train."""
     import ray
@@ -89,9 +77,9 @@ def check_resources(resources: Mapping[str, Resources]) -> None:
 
 
 @contextmanager
-def shared_folder(folder: Path, gym_packages: Sequence[str]) -> Iterator[str]:
+def connected(address: str, folder: Path, gym_packages: Sequence[str]) -> Iterator[str]:
     """
-    Check each machine with :func:`check_machine`.
+    Connect to a Ray cluster, whose address :func:`check_address` has checked, and check its machines.
 
     Provide the name of a file by which machines recognize the folder.
     """
@@ -101,18 +89,16 @@ def shared_folder(folder: Path, gym_packages: Sequence[str]) -> Iterator[str]:
     token = f"{TOKEN}{uuid.uuid4().hex}"
     (folder / token).touch()
     try:
+        ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
+        check = ray.remote(num_cpus=0, max_retries=3)(check_machine)
         for node in machines():
             strategy = NodeAffinitySchedulingStrategy(node["NodeID"], soft=False)
-            remote = ray.remote(num_cpus=0, max_retries=3)(check_machine).options(
-                scheduling_strategy=strategy
-            )
-            try:
-                ray.get(remote.remote(folder, token, tuple(gym_packages), versions()))
-            except ray.exceptions.RayError as error:
-                where = f"{node['NodeManagerHostname']} ({node['NodeManagerAddress']})"
-                raise CommandError(f"{where}: {_cause(error)}") from error
+            here = check.options(scheduling_strategy=strategy)
+            where = f"{node['NodeManagerHostname']} ({node['NodeManagerAddress']})"
+            _result(here.remote(folder, token, tuple(gym_packages), versions()), where)
         yield token
     finally:
+        ray.shutdown()
         (folder / token).unlink(missing_ok=True)
 
 
@@ -135,9 +121,14 @@ def check_machine(folder: Path, token: str, gym_packages: Sequence[str], require
         raise CommandError(f"other versions: {'; '.join(others)}")
 
 
-def _cause(error: Exception) -> str:
-    """Return the reason for an error of a Ray task."""
-    return reason(getattr(error, "cause", None) or error)
+def _result(reference: Any, what: str) -> Any:
+    """Return the result of a Ray task; raise ``CommandError``, which starts with ``what``, if it failed."""
+    import ray
+
+    try:
+        return ray.get(reference)
+    except ray.exceptions.RayError as error:
+        raise CommandError(f"{what}: {reason(getattr(error, 'cause', None) or error)}") from error
 
 
 def _check_shared(folder: Path, token: str) -> None:
@@ -209,19 +200,11 @@ def run_on_ray(
         while running:
             ended, _ = ray.wait(list(running), num_returns=1, timeout=POLL)
             for reference in ended:
-                check_storage(_exit_code(reference, running.pop(reference)), folder)
+                code = _result(reference, str(running.pop(reference).folder))
+                check_storage(ExitCode(code), folder)
             look()
     finally:
         for reference in running:
             ray.cancel(reference, force=False)
         if running:
             ray.wait(list(running), num_returns=len(running), timeout=GRACE)
-
-
-def _exit_code(reference: Any, job: Run) -> ExitCode:
-    import ray
-
-    try:
-        return ExitCode(ray.get(reference))
-    except ray.exceptions.RayError as error:
-        raise CommandError(f"{job.folder}: {_cause(error)}") from error

@@ -11,7 +11,7 @@ from bulletarm_gym.benchmarks import BENCHMARKS
 from zoo_configs.arguments import MAX_SEED
 from zoo_configs.environments import known_env_id, our_env_ids, register_environments
 from zoo_configs.errors import CommandError, check_names, unknown_name
-from zoo_configs.experiments.config import ExperimentConfig, merge, resolve
+from zoo_configs.experiments.config import merge, resolve
 from zoo_configs.experiments.families import family_of, task_name
 from zoo_configs.experiments.flags import default_preset
 from zoo_configs.files import read_yaml
@@ -76,8 +76,7 @@ def parse_plan(where: str, content: Any) -> Plan:
         raise CommandError(f"{where} must contain a mapping, got {content!r}")
     check_names(f"key of {where}", map(str, content), [item.name for item in fields(Plan)])
     for key in ("tasks", "baselines"):
-        names = content.get(key)
-        if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
+        if not isinstance(names := content.get(key), list) or not names:
             raise CommandError(f"{key} of {where} must be a list of names, got {names!r}")
     for key in ("options", "hyperparams", "variants"):
         if not isinstance(content.get(key, {}), dict):
@@ -85,7 +84,8 @@ def parse_plan(where: str, content: Any) -> Plan:
     for name, values in content.get("variants", {}).items():
         if not isinstance(values, dict) or "/" in str(name):
             raise CommandError(f"variants of {where} must be mappings by name, got {name!r}: {values!r}")
-    return Plan(**content)
+    names = {key: list(map(str, content[key])) for key in ("tasks", "baselines")}
+    return Plan(**{**content, **names})
 
 
 def build_jobs(
@@ -110,7 +110,7 @@ def build_jobs(
     preset = plan.preset or default_preset(device)
     experiments = [
         (
-            f"{label}-{variant}" if variant else label,
+            Path(task_name(task), f"{label}-{variant}" if variant else label),
             resolve(label, preset, task, merge(plan.hyperparams, values), plan.benchmark),
         )
         for task in tasks
@@ -120,16 +120,12 @@ def build_jobs(
     options = {"num_threads": num_threads, **plan.options}
     packages = tuple(gym_packages)
     return [
-        Run(_folder(one, name, seed), one, seed, device, TrainingOptions.of(one, options), packages)
-        for wanted in dict.fromkeys(name for name, _ in experiments)
+        Run(folder / f"{SEED_PREFIX}{seed}", one, seed, device, TrainingOptions.of(one, options), packages)
+        for wanted in dict.fromkeys(folder.name for folder, _ in experiments)
         for seed in _seeds(plan.seeds)
-        for name, one in experiments
-        if name == wanted
+        for folder, one in experiments
+        if folder.name == wanted
     ]
-
-
-def _folder(experiment: ExperimentConfig, name: str, seed: int) -> Path:
-    return Path(task_name(experiment.env_id), name, f"{SEED_PREFIX}{seed}")
 
 
 def _tasks(wanted: str, benchmark: str | None) -> list[str]:

@@ -10,6 +10,7 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from enum import IntEnum
 from multiprocessing.connection import wait
 from multiprocessing.process import BaseProcess
@@ -156,7 +157,7 @@ def _end_with_parent() -> None:
 
 
 def _train(job: Run, run_folder: Path) -> None:
-    from zoo_configs.training.train import train_experiment
+    from zoo_configs.training.train import train_run
 
     run_folder.mkdir(parents=True, exist_ok=True)
     with (run_folder / LOG_FILE).open("a", encoding="utf-8") as file:
@@ -166,22 +167,14 @@ def _train(job: Run, run_folder: Path) -> None:
     last = time.monotonic() + LOCK_SECONDS
     while is_training(run_folder) and time.monotonic() < last:
         time.sleep(LOCK_POLL)
-    train_experiment(
-        job.experiment,
-        job.seed,
-        job.device,
-        options=job.options,
-        at=run_folder,
-        gym_packages=job.gym_packages,
-    )
+    train_run(replace(job, folder=run_folder))
 
 
 def _record_failure(run_folder: Path, error: Exception) -> ExitCode:
     """Record an error in the run folder. A run without storage has not failed: it can be resumed."""
     is_full = any(isinstance(cause, OSError) and cause.errno in STORAGE_ERRORS for cause in causes(error))
     if is_full or shutil.disk_usage(run_folder).free < LEAST_FREE:
-        status = run_status(run_folder)
-        if status is not None and status.state is State.FAILED:
+        if run_status(run_folder).state is State.FAILED:
             set_status(run_folder, State.KILLED)
         return ExitCode.STORAGE
     set_status(run_folder, State.FAILED, reason(error))

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from tqdm import tqdm
 
 from zoo_configs.algorithms import algorithm_classes, class_from_path
-from zoo_configs.arguments import hides_progress
+from zoo_configs.drawing.curves import load_curve
 from zoo_configs.environments import make_env, try_env
 from zoo_configs.errors import CommandError, refused
 from zoo_configs.experiments.validation import check_experiment
@@ -29,10 +29,9 @@ PROCESS_GIGABYTES = 1.0
 CHECKPOINTS = 3
 """Number of checkpoints on disk: two, and the one that is being written."""
 INTERVAL = 2.0  # seconds between two readings of the folders
-WAITING = "waiting"
-STATES = (State.DONE.value, State.RUNNING.value, WAITING, State.FAILED.value)
+STATES = (State.DONE, State.RUNNING, State.WAITING, State.FAILED)
 """States of a run of a benchmark. A killed run waits to be resumed."""
-ENDED = (State.DONE.value, State.FAILED.value)
+ENDED = (State.DONE, State.FAILED)
 
 
 class Size(NamedTuple):
@@ -77,16 +76,13 @@ def check_jobs(jobs: Sequence[Run], folder: Path) -> None:
 
     :raises CommandError: if a run cannot be trained, or the folder contains other runs
     """
-    tried = set()
-    for job in {job.folder.parent: job for job in jobs}.values():
-        check_experiment(job.experiment)
-        env_kwargs = job.experiment.hyperparams.get("env_kwargs", {})
-        key = job.experiment.env_id, json.dumps(env_kwargs, sort_keys=True, default=str)
-        if key not in tried:
-            try_env(job.experiment.env_id, env_kwargs)
-            tried.add(key)
-    if folder.exists() and not folder.is_dir():
-        raise CommandError(f"--log-folder must be a folder, got the file {folder}")
+    environments = {}
+    for experiment in {job.folder.parent: job.experiment for job in jobs}.values():
+        check_experiment(experiment)
+        env_kwargs = experiment.hyperparams.get("env_kwargs", {})
+        environments[json.dumps([experiment.env_id, env_kwargs], default=str)] = experiment.env_id, env_kwargs
+    for env_id, env_kwargs in environments.values():
+        try_env(env_id, env_kwargs)
     check_writable(folder / LOCK_FILE, "--log-folder")
     for job in jobs:
         place = folder / job.folder
@@ -98,7 +94,7 @@ class Entry(NamedTuple):
     """State of one run, its latest success, and its machine or error."""
 
     name: str
-    state: str = WAITING
+    state: State = State.WAITING
     success: str = ""
     detail: str = ""
 
@@ -117,48 +113,43 @@ class Overview:
 
     def update(self) -> list[Entry]:
         """Read the folders of all runs that were not done, and return the entries that have changed."""
-        before = dict(self.entries)
-        for name, entry in before.items():
-            if entry.state != State.DONE.value:
-                self.entries[name] = _read_entry(self.folder, name)
-        return [entry for name, entry in self.entries.items() if entry != before[name]]
+        before = self.entries
+        read = {name: _read_entry(self.folder, name) for name in before if before[name].state != State.DONE}
+        self.entries = before | read
+        return [entry for name, entry in read.items() if entry != before[name]]
 
-    def of(self, *states: str) -> list[Entry]:
+    def of(self, *states: State) -> list[Entry]:
         """Return the runs with one of some states."""
         return [entry for entry in self.entries.values() if entry.state in states]
 
     def counts(self) -> str:
         """Return the number of runs with each state."""
-        return ", ".join(f"{len(self.of(state))} {state}" for state in STATES)
+        return ", ".join(f"{len(self.of(state))} {state.value}" for state in STATES)
 
 
 def _read_entry(folder: Path, name: str) -> Entry:
-    from zoo_configs.drawing.curves import load_curve
-
     try:
         found = run_status(folder / name)
     except CommandError as error:
-        return Entry(name, State.FAILED.value, detail=str(error))
-    if found is None:
-        return Entry(name)
+        return Entry(name, State.FAILED, detail=str(error))
     success = ""
     with contextlib.suppress(CommandError, OSError):  # missing, or not yet visible in a shared folder
         curve = load_curve(folder / name / EVALUATIONS_FILE)
         success = f"success {curve.success[-1]:.2f} at {curve.timesteps[-1]}"
-    state = WAITING if found.state is State.KILLED else found.state.value
+    state = State.WAITING if found.state is State.KILLED else found.state
     details = {State.RUNNING: f"on {found.host}", State.FAILED: found.error}
     return Entry(name, state, success, details.get(found.state, ""))
 
 
 @contextmanager
-def shown(overview: Overview, progress: bool | None = None) -> Iterator[Callable[[], None]]:
+def shown(overview: Overview, progress: bool = False) -> Iterator[Callable[[], None]]:
     """
     Print each change of an overview, above a progress bar with the counts.
 
-    Provide a function to call often, which updates the overview. None shows the bar on a terminal.
+    Provide a function to call often, which updates the overview.
     """
     last = -INTERVAL
-    with tqdm(total=len(overview.entries), unit="run", disable=hides_progress(progress)) as bar:
+    with tqdm(total=len(overview.entries), unit="run", disable=not progress) as bar:
 
         def update() -> None:
             nonlocal last
@@ -166,8 +157,8 @@ def shown(overview: Overview, progress: bool | None = None) -> Iterator[Callable
                 return
             last = time.monotonic()
             for entry in overview.update():
-                text = ", ".join(filter(None, (f"{entry.state} {entry.name}", entry.success, entry.detail)))
-                bar.write(f"[{overview.counts()}] {text}", file=sys.stderr)
+                parts = f"{entry.state.value} {entry.name}", entry.success, entry.detail
+                bar.write(f"[{overview.counts()}] {', '.join(filter(None, parts))}", file=sys.stderr)
             bar.n = len(overview.of(*ENDED))
             bar.set_postfix_str(overview.counts())
 
@@ -179,21 +170,21 @@ def train_jobs(
     folder: Path,
     runner: Runner,
     retry_failed: bool = False,
-    progress: bool | None = None,
+    progress: bool = False,
 ) -> Overview:
     """
     Train the runs that are not done, in a folder that is locked meanwhile, and return their status.
 
     :param runner: Function that trains runs
     :param retry_failed: Whether to resume failed runs
-    :param progress: Whether to show a progress bar; None shows it on a terminal
+    :param progress: Whether to show a progress bar
     :raises CommandError: if the runner cannot continue; the runs can be resumed
     """
     overview = Overview(jobs, folder)
     with run_lock(folder):
         overview.update()
         if retry_failed:
-            for entry in overview.of(State.FAILED.value):
+            for entry in overview.of(State.FAILED):
                 set_status(folder / entry.name, State.KILLED)
             overview.update()
         ended = {entry.name for entry in overview.of(*ENDED)}

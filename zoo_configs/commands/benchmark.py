@@ -10,19 +10,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from zoo_configs.arguments import (
-    MAX_SEED,
-    Parser,
-    add_packages,
-    add_progress,
-    check_device,
-    positive_int,
-    whole_number,
-)
+from zoo_configs.arguments import Parser, add_packages, add_progress, check_device, positive_int, seed
 from zoo_configs.drawing.tables import print_table
 from zoo_configs.errors import CommandError
 from zoo_configs.experiments.flags import PRESETS
-from zoo_configs.files import missing_folders, print_written, remove_empty
+from zoo_configs.files import made_folder, print_written
 
 if TYPE_CHECKING:
     from zoo_configs.benchmarking.run import Overview, Runner, Size
@@ -46,9 +38,8 @@ def main(argv: Sequence[str]) -> None:
     from zoo_configs.benchmarking.run import check_jobs, size_of, train_jobs
 
     passed = {"tasks": args.env, "baselines": args.baseline, "preset": args.preset, "seeds": args.seeds}
-    plan = replace(
-        read_plan(args.name), **{name: value for name, value in passed.items() if value is not None}
-    )
+    changes = {name: value for name, value in passed.items() if value is not None}
+    plan = replace(read_plan(args.name), **changes)
     jobs = build_jobs(plan, args.gym_packages, args.device, max(1, int(args.cpus)))
     if args.ray is None:
         check_device(args.device)
@@ -58,21 +49,14 @@ def main(argv: Sequence[str]) -> None:
     if args.dry_run:
         _print_sizes(jobs, sizes)
         return
-    made = missing_folders(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    try:
-        with _runner(jobs, sizes, folder.absolute(), args) as runner:
-            overview = train_jobs(jobs, folder, runner, args.retry_failed, args.progress)
-    finally:
-        remove_empty(made)
-    _report(overview)
+    with made_folder(folder), _runner(jobs, sizes, folder.absolute(), args) as runner:
+        _report(train_jobs(jobs, folder, runner, args.retry_failed, args.progress))
 
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
     parser = Parser("bulletarm-zoo benchmark", description=DESCRIPTION, epilog=EPILOG)
-    names = "open_loop_2d, open_loop_3d, open_loop_6d, close_loop_3d, close_loop_4d or a YAML file"
-    add, a_seed = parser.add_argument, whole_number(0, MAX_SEED)
-    add("name", metavar="NAME", help=names)
+    add, names = parser.add_argument, "close_loop_4d, close_loop_3d, open_loop_2d, open_loop_3d, open_loop_6d"
+    add("name", metavar="NAME", help=f"{names} or a YAML file")
     add("-f", "--log-folder", type=Path, help="folder of all runs (default: benchmarks/NAME)")
     add("--dry-run", action="store_true", help="list experiments, memory and disk, and train nothing")
     add("--retry-failed", action="store_true", help="restart failed runs")
@@ -82,17 +66,21 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     add("--env", nargs="+", help="tasks or shell patterns (default: all of the benchmark)")
     add("--baseline", nargs="+", help="baselines or shell patterns (default: all of the benchmark)")
     add("--preset", help=f"{PRESETS} (default: paper with a GPU, else cpu)")
-    add("--seeds", "--seed", nargs="+", type=a_seed, help="seeds (default: 0 1 2 3, as in the paper)")
+    add("--seeds", "--seed", nargs="+", type=seed, help="seeds (default: 0 1 2 3, as in the paper)")
     add("--device", default="auto", help="PyTorch device (default: auto)")
     add = parser.add_argument_group("resources").add_argument
-    jobs = "number of simultaneous runs on this machine (default: its cores divided by --cpus)"
     gpus = f"with --ray: GPUs of a run (default: {GPUS_A_RUN} if the cluster has GPUs)"
-    cluster = "train on a Ray cluster (default: that of this machine)"
-    add("-j", "--jobs", type=positive_int, help=jobs)
-    add("--cpus", type=_positive, default=1.0, help="cores and threads of a run (default: 1)")
-    add("--gpus", type=_positive, help=gpus)
-    add("--memory", type=_positive, help="with --ray: gigabytes of a run (default: as listed by --dry-run)")
-    add("--ray", nargs="?", const="auto", metavar="ADDRESS", help=cluster)
+    add("-j", "--jobs", type=positive_int, help="simultaneous runs (default: cores divided by --cpus)")
+    add("--cpus", type=positive_number, default=1.0, help="cores and threads of a run (default: 1)")
+    add("--gpus", type=positive_number, help=gpus)
+    add("--memory", type=positive_number, help="with --ray: gigabytes of a run (default: see --dry-run)")
+    add(
+        "--ray",
+        nargs="?",
+        const="auto",
+        metavar="ADDRESS",
+        help="train on a Ray cluster (default: auto)",
+    )
     args = parser.parse_args(argv)
     if args.ray is None and (args.gpus is not None or args.memory is not None):
         parser.error("--gpus and --memory need --ray. Use -j for the number of runs on this machine")
@@ -101,11 +89,9 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     return args
 
 
-def _positive(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
+def positive_number(text: str) -> float:
+    """Parse a finite number greater than 0."""
+    value = float(text)
     if not 0 < value < float("inf"):
         raise argparse.ArgumentTypeError(f"must be greater than 0, got {text!r}")
     return value
@@ -132,17 +118,17 @@ def _runner(
         n_jobs = int(args.jobs or max(1, (os.cpu_count() or 1) // max(1, int(args.cpus))))
         yield lambda waiting, look: run_here(waiting, folder, n_jobs, look)
         return
-    from zoo_configs.benchmarking.cluster import check_resources, connected, run_on_ray, shared_folder
+    from zoo_configs.benchmarking.cluster import check_resources, connected, run_on_ray
 
-    with connected(args.ray):
+    with connected(args.ray, folder, args.gym_packages) as token:
         resources = {str(job.folder): _resources(args, sizes[job.folder.parent]) for job in jobs}
         check_resources(resources)
-        with shared_folder(folder, args.gym_packages) as token:
-            yield lambda waiting, look: run_on_ray(waiting, folder, resources, token, look)
+        yield lambda waiting, look: run_on_ray(waiting, folder, resources, token, look)
 
 
 def _resources(args: argparse.Namespace, size: Size) -> dict[str, float]:
-    from zoo_configs.benchmarking.cluster import GIGABYTE, machines
+    from zoo_configs.benchmarking.cluster import machines
+    from zoo_configs.benchmarking.run import GIGABYTE
 
     has_gpus = args.device != "cpu" and any("GPU" in node["Resources"] for node in machines())
     gpus = args.gpus if args.gpus is not None else GPUS_A_RUN if has_gpus else 0.0
@@ -152,11 +138,13 @@ def _resources(args: argparse.Namespace, size: Size) -> dict[str, float]:
 
 def _report(overview: Overview) -> None:
     """Print the status at the end."""
+    from zoo_configs.training.state import State
+
     print(overview.counts())
     print_written(overview.folder)
-    failed, number = overview.of("failed"), len(overview.entries)
+    failed, number = overview.of(State.FAILED), len(overview.entries)
     if failed:
         first = f"{failed[0].name}: {failed[0].detail}"
         raise CommandError(f"{len(failed)} of {number} runs failed. Use --retry-failed to restart; {first}")
-    if left := number - len(overview.of("done")):
+    if left := number - len(overview.of(State.DONE)):
         raise CommandError(f"{left} of {number} runs are locked by other processes")

@@ -37,8 +37,7 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     parser = Parser("bulletarm-zoo demos", description=DESCRIPTION)
     add = parser.add_argument
     add("--env", required=True, help="environment id, see bulletarm-zoo list")
-    episodes = "number of successful episodes (default: 100)"
-    add("-n", "--episodes", type=positive_int, default=100, help=episodes)
+    add("-n", "--episodes", type=positive_int, default=100, help="successful episodes (default: 100)")
     add("--planner", default="waypoint", help="waypoint (default) or deconstruction")
     add("--seed", type=seed, default=0, help="seed of the collection (default: 0)")
     add("-o", "--output", type=Path, help="file to write (default: ENV-PLANNER.h5)")

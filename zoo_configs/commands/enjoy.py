@@ -1,16 +1,12 @@
 """``bulletarm-zoo enjoy``: evaluates a trained agent on new scenes."""
 
 import argparse
-import sys
 from collections.abc import Sequence
-from contextlib import closing
 
 from zoo_configs.arguments import Parser, add_agent_flags, positive_int, query_of
-from zoo_configs.errors import CommandError, reason
-from zoo_configs.files import print_written
 
 DESCRIPTION = """Evaluate a trained agent with its deterministic policy: the agent of a run, a model that
-save() wrote, or, with --published, an agent of the package. For a run, draw the learning curve as well.
+save() wrote, or, with --published, an agent of the package.
 The last line is, for example, "success_rate=0.98 episodes=50"."""
 
 
@@ -18,21 +14,12 @@ def main(argv: Sequence[str]) -> None:
     """Run the command."""
     args = _parse(argv)
     from zoo_configs.agents import find_agent
-    from zoo_configs.evaluating import EvalOptions, build_test_env, check_fits, evaluate
+    from zoo_configs.evaluating import EvalOptions, evaluate_agent
 
     agent = find_agent(query_of(args))
     options = EvalOptions(args.episodes, args.seed, args.n_envs, args.env_kwargs, args.progress)
-    with closing(build_test_env(agent, options)) as env:
-        check_fits(env, agent)
-        print(f"{agent.label} on {agent.env_id}, model {agent.path}")
-        outcome = evaluate(agent.model, env, options)
-    if agent.run is not None and agent.run.evaluations_file.is_file():
-        from zoo_configs.drawing.curves import draw_run
-
-        try:
-            print_written(draw_run(agent.run))
-        except (CommandError, OSError) as error:  # the folder may belong to another user
-            print(f"learning curve not drawn: {reason(error)}", file=sys.stderr)
+    print(f"{agent.label} on {agent.env_id}, model {agent.path}")
+    outcome = evaluate_agent(agent, options)
     print(f"success_rate={outcome.success_rate:.2f} episodes={outcome.episodes}")
 
 

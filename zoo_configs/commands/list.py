@@ -7,7 +7,6 @@ from contextlib import closing
 from typing import Any
 
 import gymnasium as gym
-from gymnasium import spaces
 
 from zoo_configs.arguments import Parser, add_packages
 from zoo_configs.drawing.tables import print_table
@@ -54,8 +53,7 @@ def _list_environments() -> None:
 
 def _list_parameters(env_id: str) -> None:
     with closing(make_env(env_id, {})) as env:
-        print(f"{env_id}\nobservation: {_describe(env.observation_space)}")
-        print(f"action: {_describe(env.action_space)}\n")
+        print(f"{env_id}\nobservation: {env.observation_space}\naction: {env.action_space}\n")
         rows = [[name, repr(value)] for name, value in _parameters(env).items()]
     print_table(["parameter", "default"], rows, wrap=True)
 
@@ -91,12 +89,3 @@ def _parameters(env: gym.Env[Any, Any]) -> dict[str, Any]:
     spec = env.spec.kwargs if env.spec is not None else {}
     recipe = {name: spec.get(name) for name in ("control", "surface")}
     return {**recipe, **config.parameters()} if config is not None else {}
-
-
-def _describe(space: spaces.Space[Any]) -> str:
-    """Return the shapes and bounds of a space in one line."""
-    if isinstance(space, spaces.Dict):
-        return ", ".join(f"{name} {_describe(part)}" for name, part in space.items())
-    if not isinstance(space, spaces.Box):
-        return str(space)
-    return f"{'x'.join(map(str, space.shape))} in [{space.low.min():g}, {space.high.max():g}]"

@@ -44,8 +44,7 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     add("-f", "--log-folder", type=Path, default=Path("logs"), help="folder of all runs (default: logs)")
     kinds = ", ".join(FORMATS)
     add("-o", "--output", type=Path, help=f"{kinds} file to write (default: {PICTURE} in the log folder)")
-    training = f"draw critic values and policy entropy instead (default output: {TRAINING_PICTURE})"
-    add("--training", action="store_true", help=training)
+    add("--training", action="store_true", help="draw critic values and policy entropy instead")
     args = parser.parse_args(argv)
     if args.output is not None and args.output.suffix not in FORMATS:
         parser.error(f"--output must end in {kinds}, got {args.output}")
@@ -53,23 +52,17 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
 
 
 def _plot_success(experiments: Sequence[ExperimentResults], output: Path) -> list[Path]:
+    from zoo_configs.drawing.curves import LearningCurve, draw_curves, mean_curve
     from zoo_configs.results import BASELINE_HEADS, HEADS, baseline_rows, experiment_row, write_tables
 
     print_table(HEADS, list(map(experiment_row, experiments)))
     print_table(BASELINE_HEADS, baseline_rows(experiments))
-    draw_panels(experiments, output)
-    return [output, *write_tables(experiments, output)]
-
-
-def draw_panels(experiments: Iterable[ExperimentResults], output: Path) -> None:
-    """Draw the mean curve of each experiment."""
-    from zoo_configs.drawing.curves import LearningCurve, draw_curves, mean_curve
-
     panels: defaultdict[str, dict[str, LearningCurve]] = defaultdict(dict)
     for experiment in experiments:
         curves = [result.curve for result in experiment.results.values()]
         panels[experiment.env_id][experiment.label] = mean_curve(curves)
     draw_curves(panels, output)
+    return [output, *write_tables(experiments, output)]
 
 
 def _plot_training(experiments: Iterable[ExperimentResults], output: Path) -> list[Path]:

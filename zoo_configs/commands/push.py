@@ -17,13 +17,10 @@ from zoo_configs.errors import CommandError, refused
 from zoo_configs.files import check_writable, print_written
 
 if TYPE_CHECKING:
-    from huggingface_hub import HfApi
-
     from zoo_configs.agents import Agent
 
 DESCRIPTION = """Upload a trained agent to the Hugging Face hub, or write it to a folder (--folder): a small
 model file, tested as it was written, and a card. The token is that of `hf auth login` or HF_TOKEN."""
-VIDEO_FILE = "replay.mp4"  # name that the hub shows
 
 
 def main(argv: Sequence[str]) -> None:
@@ -64,38 +61,31 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
 
 
 def _to_hub(agent: Agent, args: argparse.Namespace) -> None:
+    from huggingface_hub import HfApi
     from huggingface_hub.utils import validate_repo_id  # type: ignore[attr-defined]
 
+    from zoo_configs.drawing.video import write_video
+    from zoo_configs.recording import agent_actor, record
     from zoo_configs.training.runs import env_folder_name
 
     name = args.repo_name or f"{agent.label}-{env_folder_name(agent.env_id)}"
     repo_id = f"{args.organization}/{name}"
     with refused("--organization and --repo-name must be names of the hub"):
         validate_repo_id(repo_id)
-    hub = _connect()
+    hub = HfApi()
+    with refused("the Hugging Face hub cannot be used"):
+        hub.whoami()
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         _pack(agent, folder, args, repo_id)
-        _record(agent, folder / VIDEO_FILE, args)
+        actor = agent_actor(agent, args.env_kwargs)
+        with closing(actor.env):
+            frames = list(record(actor, 2, args.seed, args.progress))
+        write_video(frames, folder / "replay.mp4")  # the hub shows a file of this name
         with refused(f"{repo_id} cannot be written"):
             url = hub.create_repo(repo_id=repo_id, exist_ok=True)
             hub.upload_folder(repo_id=repo_id, folder_path=folder, commit_message="Add the agent")
     print(f"Uploaded to {url}")
-
-
-def _connect() -> HfApi:
-    """Log in to the hub."""
-    from huggingface_hub import HfApi, get_token
-
-    token = get_token()
-    if not token:
-        raise CommandError(
-            "no token of the Hugging Face hub. Run `hf auth login`, set HF_TOKEN, or pass --folder"
-        )
-    hub = HfApi(token=token)
-    with refused("the Hugging Face hub cannot be used"):
-        hub.whoami()
-    return hub
 
 
 def _pack(agent: Agent, folder: Path, args: argparse.Namespace, repo_id: str | None) -> None:
@@ -106,16 +96,6 @@ def _pack(agent: Agent, folder: Path, args: argparse.Namespace, repo_id: str | N
     options = EvalOptions(args.episodes, args.seed, env_kwargs=args.env_kwargs, progress=args.progress)
     card = pack(agent, folder, options, device=args.device, repo_id=repo_id)
     print(f"success_rate={card.success:.2f} episodes={card.episodes}")
-
-
-def _record(agent: Agent, path: Path, args: argparse.Namespace) -> None:
-    """Record two episodes."""
-    from zoo_configs.drawing.video import write_video
-    from zoo_configs.recording import agent_actor, record
-
-    actor = agent_actor(agent, args.env_kwargs)
-    with closing(actor.env):
-        write_video(list(record(actor, 2, args.seed, args.progress)), path)
 
 
 def _check_replaceable(folder: Path) -> None:

@@ -59,8 +59,7 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     add = parser.add_argument
     add("--expert", action="store_true", help="record the expert of --env")
     add("-n", "--episodes", type=positive_int, default=5, help="number of episodes (default: 5)")
-    kind = "format of the video in the run folder (default: gif)"
-    add("--format", choices=FORMATS, default="gif", help=kind)
+    add("--format", choices=FORMATS, default="gif", help="format without --output (default: gif)")
     add("-o", "--output", type=Path, help=".gif or .mp4 file to write (default: in the run folder)")
     args = parser.parse_args(argv)
     if args.output is not None and args.output.suffix[1:] not in FORMATS:

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import argparse
 import secrets
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from zoo_configs.arguments import MAX_SEED, Parser, add_packages, add_progress, whole_number
-from zoo_configs.environments import package_of, register_environments
+from zoo_configs.environments import register_environments
 from zoo_configs.errors import CommandError
 from zoo_configs.experiments.config import ExperimentConfig
-from zoo_configs.experiments.flags import add_experiment_flags, find_experiment
+from zoo_configs.experiments.flags import add_experiment_flags, find_experiment, packages_of
 from zoo_configs.files import print_written
 from zoo_configs.training.options import TrainingOptions, add_options, given_options
 
@@ -38,11 +37,10 @@ def main(argv: Sequence[str]) -> None:
     if args.dry_run and not args.resume:
         _print_experiment(find_experiment(args), args)
         return
-    progress = args.progress if args.progress is not None else sys.stderr.isatty()
     from zoo_configs.training.train import TrainingInterrupted
 
     try:
-        _report(_resume(args, progress) if args.resume else _begin(args, progress))
+        _report(_resume(args) if args.resume else _begin(args))
     except TrainingInterrupted as stop:
         print(f"Interrupted. To continue: bulletarm-zoo train --resume {stop.run.folder}")
         _report(stop.run)
@@ -75,7 +73,7 @@ def _print_experiment(experiment: ExperimentConfig, args: argparse.Namespace) ->
     print(explained_yaml(experiment, TrainingOptions.of(experiment, given).plain(), given))
 
 
-def _begin(args: argparse.Namespace, progress: bool) -> Run:
+def _begin(args: argparse.Namespace) -> Run:
     from zoo_configs.training.train import train_experiment
 
     experiment = find_experiment(args)
@@ -89,13 +87,13 @@ def _begin(args: argparse.Namespace, progress: bool) -> Run:
         args.device or "auto",
         args.log_folder or Path("logs"),
         options=TrainingOptions.of(experiment, given_options(args)),
-        gym_packages=tuple(dict.fromkeys([*args.gym_packages, *package_of(args.env)])),
+        gym_packages=packages_of(args),
         allow_mismatched_demos=args.allow_mismatched_demos,
-        progress=progress,
+        progress=args.progress,
     )
 
 
-def _resume(args: argparse.Namespace, progress: bool) -> Run:
+def _resume(args: argparse.Namespace) -> Run:
     from zoo_configs.training.runs import load_run
     from zoo_configs.training.train import resume_run
 
@@ -106,7 +104,7 @@ def _resume(args: argparse.Namespace, progress: bool) -> Run:
         raise CommandError(f"cannot be changed when resuming: {flags}")
     run = load_run(args.resume)
     options = replace(run.options, **given_options(args))
-    return resume_run(replace(run, options=options, device=args.device or run.device), progress=progress)
+    return resume_run(replace(run, options=options, device=args.device or run.device), progress=args.progress)
 
 
 def _report(run: Run) -> None:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import sys
+import contextlib
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 DESCRIPTION = """Train the first updates of a run or of a published agent again, and compare checksums of its
 observations, replay buffer and parameters with those that were recorded in the training. They are equal with
 the same code, processor type and versions. The exit code is 2 if they differ."""
-DEFAULT_UPDATES = 200
 
 
 def main(argv: Sequence[str]) -> None:
@@ -28,14 +27,19 @@ def main(argv: Sequence[str]) -> None:
     args = _parse(argv)
     from zoo_configs.agents import register_run
     from zoo_configs.provenance import arithmetic
-    from zoo_configs.training.certificate import CHECKSUMS, first_difference
+    from zoo_configs.training.certificate import CHECKSUMS, first_difference, read_certificate
+    from zoo_configs.training.runs import load_run
 
-    run, certificate = _of_published(args) if args.published else _of_run(args.path)
+    if args.published:
+        run, certificate = _of_published(args)
+    else:
+        run = load_run(args.path)
+        certificate = read_certificate(run.certificate)
     register_run(run)
     recorded = [row for row in certificate[CHECKSUMS] if row["updates"] <= args.updates]
     last = recorded[-1]["updates"]
     print(f"{run.experiment.env_id}, {run.experiment.label}, seed {run.seed}: {last} updates")
-    found = _repeat(run, last, args.progress if args.progress is not None else sys.stderr.isatty())
+    found = _repeat(run, last, args.progress)
     trained = {name: certificate[name] for name in arithmetic()}
     if difference := first_difference(recorded, found):
         updates, quantity = difference
@@ -53,8 +57,7 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     add("path", nargs="?", type=Path, metavar="RUN_FOLDER", help="run folder, as train prints it")
     add("--published", metavar="TASK", help="verify the agent of the package, or a folder written by push")
     add("--baseline", help="with --published: baseline of the agent")
-    updates = f"maximum number of updates (default: {DEFAULT_UPDATES}, as recorded)"
-    add("--updates", type=whole_number(0), default=DEFAULT_UPDATES, help=updates)
+    add("--updates", type=whole_number(0), default=200, help="maximum number of updates (default: 200)")
     add_progress(parser)
     args = parser.parse_args(argv)
     if (args.path is None) == (args.published is None):
@@ -64,15 +67,7 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     return args
 
 
-def _of_run(folder: Path) -> tuple[Run, Mapping[str, Any]]:
-    from zoo_configs.training.certificate import read_certificate
-    from zoo_configs.training.runs import load_run
-
-    run = load_run(folder)
-    return run, read_certificate(run.certificate)
-
-
-def _of_published(args: argparse.Namespace) -> tuple[Run, Mapping[str, Any]]:
+def _of_published(args: argparse.Namespace) -> tuple[Run, dict[str, Any]]:
     from zoo_configs.experiments.config import ExperimentConfig
     from zoo_configs.publishing.published import find_published
     from zoo_configs.training.options import TrainingOptions
@@ -85,30 +80,20 @@ def _of_published(args: argparse.Namespace) -> tuple[Run, Mapping[str, Any]]:
     experiment = ExperimentConfig(card.algo, card.env, dict(card.hyperparams), baseline=card.baseline)
     options = TrainingOptions(**card.certificate["options"])
     device = card.certificate["device"]
-    return Run(found.folder, experiment, card.seed, device, options, card.gym_packages), card.certificate
+    run = Run(found.folder, experiment, card.seed, device, options, card.gym_packages)
+    return run, dict(card.certificate)
 
 
 def _repeat(run: Run, updates: int, progress: bool) -> Sequence[Row]:
     """Train the first updates of a run again, and return their checksums."""
     from zoo_configs.training.certificate import CHECKSUMS, Certificate, FirstUpdatesDone, read_certificate
-    from zoo_configs.training.train import train_experiment
+    from zoo_configs.training.train import train_run
 
     options = replace(run.options, eval_freq=0, save_freq=0, tensorboard_log="", track=False, verbose=0)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "certificate.yml"
-        try:
-            train_experiment(
-                run.experiment,
-                run.seed,
-                run.device,
-                folder,
-                options=options,
-                gym_packages=run.gym_packages,
-                allow_mismatched_demos=True,
-                callbacks=[Certificate(path, stop_after=updates)],
-                progress=progress,
-            )
-        except FirstUpdatesDone:
-            pass
+        again = replace(run, folder=Path(folder) / "run", options=options)
+        with contextlib.suppress(FirstUpdatesDone):
+            train_run(again, [Certificate(path, updates)], progress, allow_mismatched_demos=True)
         rows: Sequence[Row] = read_certificate(path)[CHECKSUMS]
         return rows

@@ -35,7 +35,6 @@ class LearningCurve:
     :param error: Standard error of that mean over the episodes of one run or over runs, shape (n,); NaN if
         only one of several runs was evaluated
     :param measure: Label of the axis
-    :param runs: Number of runs that were evaluated, shape (n,)
     :param episodes: Number of episodes of each evaluation of one run
     """
 
@@ -43,7 +42,6 @@ class LearningCurve:
     success: npt.NDArray[np.float64]
     error: npt.NDArray[np.float64]
     measure: str
-    runs: npt.NDArray[np.int64]
     episodes: int = 0
 
 
@@ -55,8 +53,7 @@ def load_curve(path: Path) -> LearningCurve:
         timesteps = saved["timesteps"]
         error = episodes.std(axis=1) / np.sqrt(episodes.shape[1])
     measure = SUCCESS if has_success else RETURN
-    ones = np.ones(len(timesteps), dtype=np.int64)
-    return LearningCurve(timesteps, episodes.mean(axis=1), error, measure, ones, episodes.shape[1])
+    return LearningCurve(timesteps, episodes.mean(axis=1), error, measure, episodes.shape[1])
 
 
 def read_training_log(path: Path) -> pd.DataFrame:
@@ -75,9 +72,8 @@ def mean_curve(curves: Sequence[LearningCurve]) -> LearningCurve:
     if len(curves) == 1:
         return curves[0]
     table = pd.concat([pd.Series(curve.success, curve.timesteps) for curve in curves], axis=1).sort_index()
-    columns: list[Any] = [table.mean(axis=1), table.sem(axis=1), table.count(axis=1)]
-    mean, error, runs = (column.to_numpy() for column in columns)
-    return LearningCurve(table.index.to_numpy(), mean, error, curves[0].measure, runs, curves[0].episodes)
+    mean, error = table.mean(axis=1).to_numpy(), table.sem(axis=1).to_numpy()
+    return LearningCurve(table.index.to_numpy(), mean, error, curves[0].measure, curves[0].episodes)
 
 
 def draw_run(run: Run) -> Path:
@@ -118,8 +114,7 @@ def draw_training(panels: Mapping[str, Mapping[str, Sequence[Path]]], path: Path
     lines: dict[str, Any] = {}
     for row, (env_id, logs) in zip(grid, panels.items(), strict=True):
         for axes, (quantity, label) in zip(row, QUANTITIES.items(), strict=True):
-            axes.set(title=env_id, xlabel="time steps", ylabel=label)
-            axes.grid(alpha=0.3)
+            axes.set(title=env_id, ylabel=label)
             for number, (name, files) in enumerate(logs.items()):
                 means = pd.concat(map(read_training_log, files)).groupby(TIMESTEPS).mean()
                 for side, style in SIDES.items():
@@ -140,6 +135,8 @@ def _subplots(rows: int, columns: int) -> tuple[Any, Any]:
         figure = Figure(figsize=size, layout="constrained")
         grid = figure.subplots(rows, columns, squeeze=False)
     for axes in grid.flat:
+        axes.grid(alpha=0.3)
+        axes.set_xlabel("time steps")
         axes.xaxis.set_major_locator(MaxNLocator(6))
         axes.xaxis.set_major_formatter(EngFormatter(sep=""))  # 5k
     return figure, grid
@@ -153,14 +150,9 @@ def _save(figure: Any, lines: Mapping[str, Any], path: Path) -> None:
 
 
 def _label(axes: Any, title: str, curves: Mapping[str, LearningCurve]) -> None:
-    axes.set(
-        title=title,
-        xlabel="time steps",
-        ylabel=next(iter(curves.values())).measure.removeprefix("evaluation "),
-    )
+    axes.set(title=title, ylabel=next(iter(curves.values())).measure.removeprefix("evaluation "))
     if all(curve.measure == SUCCESS for curve in curves.values()):
         axes.set_ylim(-0.02, 1.02)
-    axes.grid(alpha=0.3)
 
 
 def _draw(axes: Any, curve: LearningCurve, number: int) -> Any:

@@ -26,11 +26,9 @@ FONT_SIZE = 15
 BACKGROUND = (24, 26, 30)
 FOREGROUND = (235, 235, 235)
 SUCCESS_COLOUR = (110, 200, 120)
-COLOUR_MAP = "viridis"
 HEIGHT_IMAGES = ("heightmap", "in_hand")
 HIGHEST = 0.2  # m; the brightest colour of a heightmap
 GIF_COLOURS = 160
-SMALLEST_SPAN = 1e-6  # of values; avoids a division by zero
 MARK = (255, 90, 60)
 RING = 7  # pixels
 NEAREST = Image.Resampling.NEAREST
@@ -86,7 +84,7 @@ def draw_value_map(value_map: ValueMap) -> Image.Image:
     """
     values, (row, column), yaw = value_map
     low, high = float(values.min()), float(values.max())
-    panel = _resize(Image.fromarray(colour((values - low) / max(high - low, SMALLEST_SPAN))), NEAREST)
+    panel = _resize(Image.fromarray(colour((values - low) / max(high - low, 1e-6))), NEAREST)
     draw = ImageDraw.Draw(panel)
     scale = PANEL_SIZE / len(values)
     x, y = (column + 0.5) * scale, (row + 0.5) * scale
@@ -106,21 +104,16 @@ def observed_images(observation: Any, env: gym.Env[Any, Any]) -> Iterator[Bright
     """
     control = getattr(env.unwrapped, "control", None)
     plane = None if control is None else control.frame().plane
-    for key, space in _boxes(env.observation_space):
+    space = env.observation_space
+    for key, part in space.items() if isinstance(space, spaces.Dict) else [(None, space)]:
+        if not isinstance(part, spaces.Box) or len(part.shape) != 3 or part.shape[0] != 1:
+            continue
         image = np.asarray(observation if key is None else observation[key], np.float64)[0]
         if key in HEIGHT_IMAGES:
             yield np.clip((image if plane is None else plane - image) / HIGHEST, 0.0, 1.0)
         else:
-            low, high = float(space.low.min()), float(space.high.max())
+            low, high = float(part.low.min()), float(part.high.max())
             yield (image - low) / (high - low)
-
-
-def _boxes(space: spaces.Space[Any]) -> Iterator[tuple[str | None, spaces.Box]]:
-    """Yield key and space of each single-channel image."""
-    parts = space.items() if isinstance(space, spaces.Dict) else [(None, space)]
-    for key, part in parts:
-        if isinstance(part, spaces.Box) and len(part.shape) == 3 and part.shape[0] == 1:
-            yield key, part
 
 
 def write_video(frames: Sequence[Frame], path: Path) -> None:
@@ -151,4 +144,4 @@ def _resize(image: Image.Image, resampling: Image.Resampling) -> Image.Image:
 
 def colour(image: Brightness) -> Frame:
     """Return an image, shape (height, width, 3), of values in [0, 1], dark to bright."""
-    return np.asarray(colormaps[COLOUR_MAP](image)[..., :3] * 255, np.uint8)
+    return np.asarray(colormaps["viridis"](image)[..., :3] * 255, np.uint8)

@@ -1,22 +1,16 @@
 """The hyperparameters of an experiment, from a baseline, a preset and an environment."""
 
 import copy
-import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from zoo_configs.experiments.families import Layer, family_of
 from zoo_configs.files import format_yaml
 
-DEFAULT, OVERRIDES = Layer("default"), Layer("command line")
+DEFAULT, OVERRIDES = Layer("default", {}), Layer("command line", {})
 """Sources of values that no configuration file defines."""
-GRID = "policy_kwargs.codec_kwargs"
-GRID_FOLLOWS = {"theta_bounds": "half_rotation", "workspace_size": "workspace"}
-"""Arguments of a codec, and the environment's parameter that each follows."""
 EXTRACTOR = "policy_kwargs.features_extractor_kwargs"
-WHOLE_TURN = (-math.pi, math.pi)
-"""Yaws (rad) of the actions -1 and 1 without ``half_rotation``."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +41,11 @@ class ExperimentConfig:
     def label(self) -> str:
         """Name for titles and tables: the baseline, or else the algorithm."""
         return self.baseline or self.algo
+
+    def overridden(self, overrides: Mapping[str, Any]) -> "ExperimentConfig":
+        """Return the experiment with hyperparameters that replace its own; mappings are merged."""
+        merged = merge(self.hyperparams, overrides)
+        return replace(self, hyperparams=merged, overrides=merge(self.overrides, overrides))
 
 
 def resolve(
@@ -81,15 +80,11 @@ def explain(
     family = family_of(env_id)
     case = family.case(baseline, preset, env_id, benchmark)
     overrides = copy.deepcopy(dict(overrides or {}))
-    layers = [*family.layers(case), Layer(OVERRIDES.source, hyperparams=overrides)]
     merged: dict[str, Any] = {"hyperparams": {}, "flags": {}}
     sources: dict[str, Layer] = {}
-    for layer in layers:
-        values: dict[str, Any] = {"hyperparams": layer.hyperparams, "flags": layer.flags}
-        if layer.algo is not None:
-            values["algo"] = layer.algo
-        _merge_into(merged, values)
-        sources.update({name: layer for name, _ in _leaves(values)})
+    for layer in [*family.layers(case), OVERRIDES._replace(values={"hyperparams": overrides})]:
+        _merge_into(merged, layer.values)
+        sources.update({name: layer for name, _ in leaves(layer.values)})
     hyperparams, flags = merged["hyperparams"], merged["flags"]
     for name, parameter in _follow_environment(hyperparams, overrides):
         sources[f"hyperparams.{name}"] = sources[f"hyperparams.env_kwargs.{parameter}"]
@@ -99,11 +94,11 @@ def explain(
     return experiment, sources
 
 
-def _leaves(mapping: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Return the values with dotted names; an empty mapping is a value."""
+def leaves(mapping: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the values of nested mappings with dotted names; an empty mapping is a value."""
     for key, value in mapping.items():
         if isinstance(value, Mapping) and value:
-            yield from _leaves(value, f"{prefix}{key}.")
+            yield from leaves(value, f"{prefix}{key}.")
         else:
             yield f"{prefix}{key}", value
 
@@ -128,52 +123,42 @@ def _follow_environment(
     hyperparams: dict[str, Any], overrides: Mapping[str, Any]
 ) -> Iterator[tuple[str, str]]:
     """Derive arguments of the policy from parameters, and yield the dotted name of both."""
-    env_kwargs = _at(hyperparams, "env_kwargs") or {}
-    policy_kwargs = _at(hyperparams, "policy_kwargs") or {}
+    env_kwargs, policy_kwargs = _at(hyperparams, "env_kwargs"), _at(hyperparams, "policy_kwargs")
     if "action_sequence" in policy_kwargs and (sequence := env_kwargs.get("action_sequence")) is not None:
         policy_kwargs["action_sequence"] = sequence
         yield "policy_kwargs.action_sequence", "action_sequence"
-    for name, value in _grid_bounds(env_kwargs):
-        grid = _at(hyperparams, GRID)
-        if grid is not None and name not in grid:
-            grid[name] = value
-            yield f"{GRID}.{name}", GRID_FOLLOWS[name]
     if _fit_image_size(hyperparams, overrides):
         yield f"{EXTRACTOR}.channels", "obs_size"
 
 
-def _grid_bounds(env_kwargs: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    """Return arguments of a codec for which the actions cover the environment's yaws and workspace."""
-    if env_kwargs.get("half_rotation") is False:
-        yield "theta_bounds", list(WHOLE_TURN)
-    match env_kwargs.get("workspace"):
-        case [[int() | float() as low, int() | float() as high], *_]:
-            yield "workspace_size", high - low
-
-
 def _fit_image_size(hyperparams: dict[str, Any], overrides: Mapping[str, Any]) -> bool:
     """Give the encoder of a preset as many channels as the overridden ``obs_size`` needs halvings."""
-    size = (_at(overrides, "env_kwargs") or {}).get("obs_size")
-    encoder = _at(hyperparams, EXTRACTOR) or {}
+    size, encoder = _at(overrides, "env_kwargs").get("obs_size"), _at(hyperparams, EXTRACTOR)
     if type(size) is not int or size < 1 or "channels" not in encoder:
         return False
-    if "channels" in (_at(overrides, EXTRACTOR) or {}):
+    if "channels" in _at(overrides, EXTRACTOR):
         return False
     from sb3_extensions.encoders.cnn import count_halvings
 
-    crop = (_at(hyperparams, "augmentation.rad") or {}).get("size", size)
+    crop = _at(hyperparams, "augmentation.rad").get("size", size)
     *halving, widest, last, features = before = encoder["channels"]
     missing = max(count_halvings(crop) - len(halving) - 1, 0)
     encoder["channels"] = [*halving, *[widest] * (missing + 1), last, features]
     return bool(encoder["channels"] != before)
 
 
-def _at(mapping: Mapping[str, Any], name: str) -> dict[str, Any] | None:
-    """Return the mapping at a dotted name, None if there is none."""
+def look_up(mapping: Mapping[str, Any], name: str) -> Any:
+    """Return the value at a dotted name, None if there is none."""
     found: Any = mapping
     for key in name.split("."):
         found = found.get(key) if isinstance(found, Mapping) else None
-    return found if isinstance(found, dict) else None
+    return found
+
+
+def _at(mapping: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """Return the mapping at a dotted name, an empty one if there is none."""
+    found = look_up(mapping, name)
+    return found if isinstance(found, dict) else {}
 
 
 def explained_yaml(experiment: ExperimentConfig, options: Mapping[str, Any], given: Mapping[str, Any]) -> str:

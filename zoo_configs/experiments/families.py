@@ -3,19 +3,19 @@
 import functools
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from importlib import resources
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from bulletarm_gym.benchmarks import BENCHMARKS
-from zoo_configs.errors import CommandError, check_names, unknown_name
+from zoo_configs.errors import CommandError, check_names
 from zoo_configs.files import parse_yaml
 
 AXES = ("benchmarks", "networks", "learners", "additions", "tasks")
 """Keys below which a section has sections by name, in the order of merging."""
-SECTION_KEYS = ("why", "algo", "set", "flags", *AXES)
-NO_BENCHMARK = "none"
+VALUE_KEYS = {"algo": "algo", "hyperparams": "set", "flags": "flags"}
+"""Keys of a section's values."""
 
 
 class Baseline(NamedTuple):
@@ -34,31 +34,25 @@ class Case(NamedTuple):
     benchmark: str | None
     baseline: Baseline
 
-    def names(self, axis: str) -> tuple[str, ...]:
-        """Return the names on one of ``AXES``."""
-        baseline = self.baseline
-        benchmark, task = self.benchmark or NO_BENCHMARK, task_name(self.env_id)
-        names = ((benchmark,), (baseline.network,), (baseline.learner,), baseline.additions, (task,))
-        return dict(zip(AXES, names, strict=True))[axis]
+    @property
+    def names(self) -> tuple[tuple[str, ...], ...]:
+        """The names on each of ``AXES``."""
+        learner, network, additions = self.baseline
+        return (self.benchmark or "none",), (network,), (learner,), additions, (task_name(self.env_id),)
 
 
-@dataclass(frozen=True)
-class Layer:
+class Layer(NamedTuple):
     """
     Values of one section of a configuration file.
 
     :param source: The file and the section
+    :param values: ``algo``, ``hyperparams`` and ``flags``, merged with those of earlier layers
     :param why: The reason, or the source of the numbers
-    :param algo: Name of the algorithm, None if another layer defines it
-    :param hyperparams: Hyperparameters; mappings are merged with those of earlier layers
-    :param flags: Defaults for flags of ``train``
     """
 
     source: str
+    values: Mapping[str, Any]
     why: str = ""
-    algo: str | None = None
-    hyperparams: Mapping[str, Any] = field(default_factory=dict)
-    flags: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -92,53 +86,48 @@ class Family:
 
     def has_experiment(self, baseline: str, env_id: str, benchmark: str | None = None) -> bool:
         """Return True if a baseline serves a task in a benchmark, None for any. All serve other tasks."""
-        network, with_task = self.baselines[baseline].network, self._benchmarks_of(env_id)
-        chosen = [name for name in with_task if benchmark in (None, name)]
-        return not with_task or any(network in self.benchmarks[name] for name in chosen)
+        networks = self._networks(env_id)
+        chosen = [serving for name, serving in networks.items() if benchmark in (None, name)]
+        return not networks or any(self.baselines[baseline].network in serving for serving in chosen)
 
     def case(self, baseline: str, preset: str, env_id: str, benchmark: str | None = None) -> Case:
         """Return the names of an experiment; raise ``CommandError`` if one is unknown or does not fit."""
-        named = [("baseline", baseline, self.baselines), ("preset", preset, self.presets)]
-        if benchmark is not None:
-            named.append(("benchmark", benchmark, BENCHMARKS))
-        for kind, name, valid in named:
-            if name not in valid:
-                others = [
-                    family.envs for family in families() if name in (*family.baselines, *family.presets)
-                ]
-                if others:
-                    raise CommandError(f"{kind} {name!r} is for {' or '.join(others)}, not for {env_id}")
-                raise unknown_name(kind, name, valid)
+        for kind, name, valid in (("baseline", baseline, self.baselines), ("preset", preset, self.presets)):
+            others = [family.envs for family in families() if name in (*family.baselines, *family.presets)]
+            if name not in valid and others:
+                raise CommandError(f"{kind} {name!r} is for {' or '.join(others)}, not for {env_id}")
+            check_names(kind, [name], valid)
+        check_names("benchmark", filter(None, [benchmark]), BENCHMARKS)
         parts = self.baselines[baseline]
         return Case(preset, env_id, self._choose(parts.network, env_id, benchmark), parts)
 
     def _choose(self, network: str, env_id: str, wanted: str | None) -> str | None:
         """Return the benchmark that defines a task's parameters, None for a task of no benchmark."""
-        with_task = self._benchmarks_of(env_id)
-        if wanted is not None and wanted not in with_task:
-            names = ", ".join(with_task) or "none"
+        networks = self._networks(env_id)
+        if wanted is not None and wanted not in networks:
+            names = ", ".join(networks) or "none"
             raise CommandError(f"benchmark must be one of those with {env_id} ({names}), got {wanted!r}")
-        networks = {name: self.benchmarks[name] for name in with_task if wanted in (None, name)}
-        fitting = [name for name, valid in networks.items() if network in valid]
-        if with_task and not fitting:
+        fitting = [name for name in networks if network in networks[name] and wanted in (None, name)]
+        if networks and not fitting:
             raise CommandError(
                 f"network {network!r} does not fit {env_id}. Networks by benchmark: {networks}"
             )
         return fitting[0] if fitting else None
 
-    def _benchmarks_of(self, env_id: str) -> list[str]:
+    def _networks(self, env_id: str) -> dict[str, Sequence[str]]:
+        """Return the networks by benchmark with a task."""
         ids = {name: {row.env_id for row in BENCHMARKS[name].environments} for name in self.benchmarks}
-        return [name for name in self.benchmarks if env_id in ids[name]]
+        return {name: networks for name, networks in self.benchmarks.items() if env_id in ids[name]}
 
     def layers(self, case: Case) -> Iterator[Layer]:
         """Yield the layers of an experiment in the order of merging."""
-        yield Layer("name of the baseline", algo=case.baseline.learner)
+        yield Layer("name of the baseline", {"algo": case.baseline.learner})
         yield from _layers(self.sections.get("defaults", {}), case, f"{self.name}.yml, defaults")
         if case.benchmark is not None:
             table = BENCHMARKS[case.benchmark]
             [row] = (environment for environment in table.environments if environment.env_id == case.env_id)
             values = {"env_kwargs": table.make_kwargs(row), "expert_episodes": row.expert_episodes}
-            yield Layer(f"bulletarm_gym.benchmarks, {case.benchmark}", hyperparams=values)
+            yield Layer(f"bulletarm_gym.benchmarks, {case.benchmark}", {"hyperparams": values})
         yield from _layers({axis: self.sections.get(axis, {}) for axis in AXES}, case, f"{self.name}.yml, ")
         preset = self.sections["presets"][case.preset]
         yield from _layers(preset, case, f"{self.name}.yml, presets.{case.preset}")
@@ -150,12 +139,11 @@ def _layers(section: Any, case: Case, source: str) -> Iterator[Layer]:
         for part in section:
             yield from _layers(part, case, source)
         return
-    check_names(f"key of {source}", section, SECTION_KEYS)
-    if section.keys() & {"algo", "set", "flags"}:
-        why = " ".join(section.get("why", "").split())
-        yield Layer(source, why, section.get("algo"), section.get("set", {}), section.get("flags", {}))
-    for axis in AXES:
-        for name in case.names(axis):
+    check_names(f"key of {source}", section, ("why", *VALUE_KEYS.values(), *AXES))
+    if values := {name: section[key] for name, key in VALUE_KEYS.items() if key in section}:
+        yield Layer(source, values, " ".join(section.get("why", "").split()))
+    for axis, names in zip(AXES, case.names, strict=True):
+        for name in names:
             if name in section.get(axis, {}):
                 inner = f"{source}.{axis}.{name}".replace(", .", ", ")
                 yield from _layers(section[axis][name], case, inner)
@@ -169,11 +157,8 @@ def task_name(env_id: str) -> str:
 @functools.cache
 def families() -> tuple[Family, ...]:
     """Load all configuration files, in the order of their names."""
-    folder = resources.files("zoo_configs") / "hyperparams"
-    files = sorted(
-        (file for file in folder.iterdir() if file.name.endswith(".yml")), key=lambda file: file.name
-    )
-    return tuple(parse_family(file.name[:-4], file.read_text(encoding="utf-8")) for file in files)
+    folder = Path(__file__).resolve().parents[1] / "hyperparams"
+    return tuple(parse_family(path.stem, path.read_text("utf-8")) for path in sorted(folder.glob("*.yml")))
 
 
 def family_of(env_id: str) -> Family:

@@ -1,13 +1,12 @@
 """The flags that name an experiment."""
 
 import argparse
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from zoo_configs.algorithms import ALGORITHMS, OTHERS, algorithm_classes
 from zoo_configs.arguments import add_env_kwargs, add_key_values
-from zoo_configs.environments import known_env_id
+from zoo_configs.environments import known_env_id, package_of
 from zoo_configs.errors import CommandError, unknown_name
 from zoo_configs.experiments.config import ExperimentConfig, merge, resolve
 from zoo_configs.experiments.families import families
@@ -49,7 +48,7 @@ def find_experiment(args: argparse.Namespace) -> ExperimentConfig:
     if args.conf_file is not None:
         if args.baseline is not None:
             raise CommandError("give --baseline or --conf-file, not both")
-        return _override(_experiment_from_file(args.conf_file, _required_algo(args), env_id), overrides)
+        return _experiment_from_file(args.conf_file, _required_algo(args), env_id).overridden(overrides)
     baseline = _baseline_of(args, env_id)
     if baseline is None:
         return _default_experiment(_required_algo(args), env_id, overrides)
@@ -60,8 +59,9 @@ def find_experiment(args: argparse.Namespace) -> ExperimentConfig:
     return experiment
 
 
-def _override(experiment: ExperimentConfig, overrides: dict[str, Any]) -> ExperimentConfig:
-    return replace(experiment, hyperparams=merge(experiment.hyperparams, overrides), overrides=overrides)
+def packages_of(args: argparse.Namespace) -> tuple[str, ...]:
+    """Return the packages of ``--gym-packages`` and of an id such as ``my_tasks:ID``."""
+    return tuple(dict.fromkeys([*args.gym_packages, *package_of(args.env or "")]))
 
 
 def _required_algo(args: argparse.Namespace) -> str:
@@ -111,7 +111,7 @@ def _default_experiment(algo: str, env_id: str, overrides: dict[str, Any]) -> Ex
             hyperparams["policy"] = policies[0]
         if policies and _has_images(overrides.get("env_kwargs", {}).get("observation", "image")):
             hyperparams["policy_kwargs"] = {"features_extractor_class": EXTRACTOR}
-    return _override(ExperimentConfig(algo, env_id, hyperparams), overrides)
+    return ExperimentConfig(algo, env_id, hyperparams).overridden(overrides)
 
 
 def _has_images(observation: Any) -> bool:

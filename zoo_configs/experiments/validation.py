@@ -146,5 +146,5 @@ def _check_replay_buffer(algorithm: type[Any], hyperparams: Mapping[str, Any]) -
 
 
 def _imported(kind: str, path: str) -> type[Any]:
-    with refused(f"{kind} {path!r} cannot be imported", (ImportError, ValueError)):
+    with refused(f"{kind} {path!r} cannot be imported", (AttributeError, ImportError, ValueError)):
         return class_from_path(path)

@@ -14,7 +14,6 @@ from torch import nn
 
 from zoo_configs.files import whole_file
 
-POLICY = "policy"
 ACTOR, AVERAGE = "actor", "actor_average"  # submodules of an SACfDPolicy
 SMALLER = {th.float16: "float16", th.bfloat16: "bfloat16"}
 BLANKS: dict[str, Any] = {
@@ -52,7 +51,7 @@ def save_compact(model: BaseAlgorithm, path: Path, half: bool = True) -> str:
     for name, state in params.items():
         if set(state) == {"state", "param_groups"}:  # an optimizer, as before its first step
             params[name] = {**state, "state": {}}
-    params[POLICY] = weights = stored_weights(model.policy, half)
+    params["policy"] = weights = stored_weights(model.policy, half)
     names, variables = model._get_torch_save_params()
     left_out = {*model._excluded_save_params(), *names, *variables, *SCHEDULES}
     roots = {name.partition(".")[0] for name in left_out}

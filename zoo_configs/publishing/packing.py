@@ -25,7 +25,6 @@ from zoo_configs.training.runs import Run, day, env_folder_name, origin_of
 
 WRAPPERS = ("normalize", "frame_stack", "vec_env_wrapper", "env_wrapper")
 
-README_FILE = "README.md"
 REINFORCEMENT_LEARNING = "reinforcement-learning"
 TAGS = ("deep-reinforcement-learning", REINFORCEMENT_LEARNING, "stable-baselines3", "robotics", "bulletarm")
 PAGE = """---
@@ -129,7 +128,7 @@ def pack(
         weights, outcome = store(half=False)
     card = _card(agent, run, options, outcome, name, weights)
     card.write(folder)
-    with whole_file(folder / README_FILE) as partial:
+    with whole_file(folder / "README.md") as partial:
         partial.write_text(render_readme(card, repo_id), encoding="utf-8")
     return card
 
@@ -140,10 +139,7 @@ def _card(agent: Agent, run: Run, options: EvalOptions, outcome: Outcome, file: 
     return Card(
         env=agent.env_id,
         env_kwargs={**agent.env_kwargs, **options.env_kwargs},
-        algo=run.experiment.algo,
-        baseline=run.experiment.baseline,
-        preset=run.experiment.preset,
-        benchmark=run.experiment.benchmark,
+        **{name: getattr(run.experiment, name) for name in ("algo", "baseline", "preset", "benchmark")},
         seed=run.seed,
         model="best" if agent.path == run.best_model else "last",
         timesteps=agent.model.num_timesteps,
@@ -229,7 +225,8 @@ def _snippet(card: Card, algorithm: type[Any], repo_id: str | None) -> str:
         imports.append("from huggingface_sb3 import load_from_hub\n")
         path = f"load_from_hub({json.dumps(repo_id)}, {path})"
     own = ALGORITHMS.get(card.algo, "").rpartition(".")[0]
-    values = [f"{json.dumps(key)}: {_literal(value)}" for key, value in card.env_kwargs.items()]
+    literals = {key: json.dumps(v) if isinstance(v, str) else repr(v) for key, v in card.env_kwargs.items()}
+    values = [f"{json.dumps(key)}: {literal}" for key, literal in literals.items()]
     return SNIPPET.format(
         imports="".join(imports),
         module=own or algorithm.__module__.partition(".")[0],
@@ -238,7 +235,3 @@ def _snippet(card: Card, algorithm: type[Any], repo_id: str | None) -> str:
         env_kwargs=f"{{{', '.join(values)}}}",
         env=json.dumps(card.env),
     )
-
-
-def _literal(value: Any) -> str:
-    return json.dumps(value) if isinstance(value, str) else repr(value)

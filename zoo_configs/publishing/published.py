@@ -2,12 +2,12 @@
 
 import dataclasses
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from zoo_configs.errors import CommandError, refused, unknown_name
+from zoo_configs.errors import CommandError, check_names, refused, unknown_name
 from zoo_configs.experiments.families import task_name
 from zoo_configs.files import whole_file
 from zoo_configs.training.runs import Origin
@@ -123,19 +123,14 @@ def find_published(name: str, baseline: str | None = None) -> Published:
     :raises CommandError: for an unknown name; suggests the nearest one
     """
     if (Path(name) / CARD_FILE).is_file():
-        return _of_baseline([Published(Path(name), read_card(Path(name)))], name, baseline)
-    agents = published_agents()
-    names = {task_name(agent.card.env): agent.card.env for agent in agents}
-    env_id = names.get(name, name.rpartition(":")[2])
-    of_env = [agent for agent in agents if agent.card.env == env_id]
-    if not of_env:
-        raise unknown_name("published agent", name, names)
-    return _of_baseline(of_env, name, baseline)
-
-
-def _of_baseline(agents: Sequence[Published], name: str, baseline: str | None) -> Published:
+        agents = [Published(Path(name), read_card(Path(name)))]
+    else:
+        env_ids = {task_name(agent.card.env): agent.card.env for agent in published_agents()}
+        env_id = env_ids.get(name, name.rpartition(":")[2])
+        agents = [agent for agent in published_agents() if agent.card.env == env_id]
+        if not agents:
+            raise unknown_name("published agent", name, env_ids)
+    labels = [agent.card.label for agent in agents]
+    check_names(f"baseline of the published agents on {name}:", filter(None, [baseline]), labels)
     fitting = [agent for agent in agents if baseline in (None, agent.card.label)]
-    if not fitting:
-        labels = [agent.card.label for agent in agents]
-        raise unknown_name(f"baseline of the published agents on {name}:", str(baseline), labels)
     return max(fitting, key=lambda agent: agent.card.success)

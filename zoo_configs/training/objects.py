@@ -9,21 +9,14 @@ import gymnasium as gym
 import numpy as np
 import torch as th
 from gymnasium import spaces
+from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.noise import ActionNoise, NormalActionNoise, OrnsteinUhlenbeckActionNoise
-from stable_baselines3.common.preprocessing import is_image_space, is_image_space_channels_first
-from stable_baselines3.common.vec_env import (
-    DummyVecEnv,
-    SubprocVecEnv,
-    VecEnv,
-    VecFrameStack,
-    VecNormalize,
-    VecTransposeImage,
-)
+from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv, VecFrameStack, VecNormalize
 
 from zoo_configs.algorithms import class_from_path
-from zoo_configs.errors import CommandError
+from zoo_configs.errors import check_names
 
 ENV_KEYS = ("env_kwargs", "env_wrapper", "frame_stack", "monitor_kwargs", "normalize", "vec_env_wrapper")
 """Hyperparameters of the environments."""
@@ -120,17 +113,9 @@ def _described_classes(description: Any) -> list[tuple[type[Any], dict[str, Any]
 
 
 def action_noise(noise_type: str, std: float, action_space: spaces.Space[Any]) -> ActionNoise:
-    """
-    Return the noise of ``noise_type`` (normal or ornstein-uhlenbeck) and ``noise_std``.
-
-    :raises CommandError: for another noise type, or an action space that is not a Box
-    """
-    if noise_type not in NOISES or not isinstance(action_space, spaces.Box):
-        raise CommandError(
-            f"noise_type must be one of {', '.join(NOISES)} and needs a Box action space, "
-            f"got {noise_type!r} and {action_space}"
-        )
-    ones = np.ones(action_space.shape)
+    """Return the noise of ``noise_type`` (normal or ornstein-uhlenbeck) and ``noise_std``."""
+    check_names("noise_type", [noise_type], NOISES)
+    ones = np.ones(action_space.shape or ())
     noise: ActionNoise = NOISES[noise_type](mean=0 * ones, sigma=std * ones)
     return noise
 
@@ -180,26 +165,21 @@ def build_vec_env(
     env = _normalized(env, values, for_evaluation, statistics)
     if values.get("frame_stack"):
         env = VecFrameStack(env, values["frame_stack"])
-    return VecTransposeImage(env) if _has_channels_last(env.observation_space) else env
+    return BaseAlgorithm._wrap_env(env, verbose=0, monitor_wrapper=False)  # images with the channels first
 
 
 def _normalized(
     env: VecEnv, values: Mapping[str, Any], for_evaluation: bool, statistics: Path | None
 ) -> VecEnv:
     """Wrap the environments in ``VecNormalize`` with ``normalize`` or a file of statistics."""
-    normalize = values.get("normalize")
     if statistics is not None and statistics.is_file():
         normalized = VecNormalize.load(str(statistics), env)
-    elif normalize:
-        gamma = {"gamma": values["gamma"]} if "gamma" in values else {}
-        normalized = VecNormalize(env, **{**(normalize if isinstance(normalize, dict) else {}), **gamma})
+    elif normalize := values.get("normalize"):
+        kwargs = dict(normalize) if isinstance(normalize, dict) else {}
+        kwargs.update({"gamma": values["gamma"]} if "gamma" in values else {})
+        normalized = VecNormalize(env, **kwargs)
     else:
         return env
     if for_evaluation:
         normalized.training = normalized.norm_reward = False
     return normalized
-
-
-def _has_channels_last(space: spaces.Space[Any]) -> bool:
-    parts = space.spaces.values() if isinstance(space, spaces.Dict) else [space]
-    return any(is_image_space(part) and not is_image_space_channels_first(part) for part in parts)  # type: ignore[arg-type]

@@ -1,11 +1,10 @@
 """Run folders in rl_zoo3's layout, ``<log folder>/<algo>/<env>_<number>``."""
 
-import re
+import contextlib
 import shlex
-import shutil
 import sys
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
 from pathlib import Path
@@ -14,22 +13,21 @@ from typing import Any
 from zoo_configs.arguments import key_value_words
 from zoo_configs.errors import CommandError, reason, refused
 from zoo_configs.experiments.config import ExperimentConfig
-from zoo_configs.files import read_yaml, remove_empty, write_yaml
+from zoo_configs.files import read_yaml, write_yaml
 from zoo_configs.provenance import commit, describe_hardware, versions
 from zoo_configs.training.options import TrainingOptions
 from zoo_configs.training.state import RunStatus, run_status
 
 RESOLVED_FILE = "hyperparams.yml"
 EVALUATIONS_FILE = "evaluations.npz"
-TRAINING_LOG_FILE = "training.csv"
-CERTIFICATE_FILE = "certificate.yml"
-BEST_MODEL_FILE = "best_model.zip"
 CHECKPOINT_FOLDER = "checkpoints"
 SEED_PREFIX = "seed_"
 """Start of the names of a benchmark's run folders, ``<folder>/<task>/<baseline>/seed_<n>``."""
 CURVE_FILE = "learning_curve.png"
 RUN_KEY = "run"
 """Key of the resolved file next to the environment's section; rl_zoo3 does not read it."""
+EXPERIMENT_KEYS = ("algo", "baseline", "preset", "benchmark", "overrides", "flags")
+"""Fields of the experiment below this key."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +79,7 @@ class Run:
     @property
     def best_model(self) -> Path:
         """The model of the best periodic evaluation."""
-        return self.folder / BEST_MODEL_FILE
+        return self.folder / "best_model.zip"
 
     @property
     def has_model(self) -> bool:
@@ -101,16 +99,16 @@ class Run:
     @property
     def training_log(self) -> Path:
         """Values that the algorithm logged with its updates."""
-        return self.folder / TRAINING_LOG_FILE
+        return self.folder / "training.csv"
 
     @property
     def certificate(self) -> Path:
         """Checksums of its first updates."""
-        return self.folder / CERTIFICATE_FILE
+        return self.folder / "certificate.yml"
 
     @property
-    def status(self) -> RunStatus | None:
-        """Its status, None before the training."""
+    def status(self) -> RunStatus:
+        """Its status."""
         return run_status(self.folder)
 
 
@@ -121,33 +119,21 @@ def env_folder_name(env_id: str) -> str:
 
 def claim_run_folder(log_folder: Path, env_id: str) -> Path:
     """Create the next numbered folder in an algorithm's log folder. Simultaneous runs get different ones."""
-    log_folder.mkdir(parents=True, exist_ok=True)
-    number = max((_run_number(path, env_id) for path in log_folder.iterdir()), default=0)
+    start = f"{env_folder_name(env_id)}_"
+    ends = [path.name.removeprefix(start) for path in log_folder.glob(f"{start}*")]
+    number = max(map(int, filter(str.isdecimal, ends)), default=0)
     while True:
         number += 1
-        folder = log_folder / f"{env_folder_name(env_id)}_{number}"
-        try:
-            folder.mkdir()  # atomic: fails if another process was first
-        except FileExistsError:
-            continue
-        return folder
-
-
-def _run_number(folder: Path, env_id: str) -> int:
-    found = re.fullmatch(rf"{re.escape(env_folder_name(env_id))}_(\d+)", folder.name)
-    return int(found[1]) if found else 0
+        with contextlib.suppress(FileExistsError):  # another process was first
+            (folder := log_folder / f"{start}{number}").mkdir(parents=True)
+            return folder
 
 
 def write_resolved(run: Run) -> None:
     """Write the configuration of a run, in the form of rl_zoo3's ``--conf-file``."""
     experiment = run.experiment
     about = {
-        "algo": experiment.algo,
-        "baseline": experiment.baseline,
-        "preset": experiment.preset,
-        "benchmark": experiment.benchmark,
-        "overrides": experiment.overrides,
-        "flags": experiment.flags,
+        **{name: getattr(experiment, name) for name in EXPERIMENT_KEYS},
         "seed": run.seed,
         "device": run.device,
         "options": run.options.plain(),
@@ -168,8 +154,8 @@ def load_run(folder: Path) -> Run:
     with refused(f"{path} cannot be read"):
         about = content.pop(RUN_KEY)
         ((env_id, hyperparams),) = content.items()
-        named = {key: about[key] for key in ("baseline", "preset", "benchmark", "overrides", "flags")}
-        experiment = ExperimentConfig(about["algo"], env_id, dict(hyperparams), **named)
+        named = {name: about[name] for name in EXPERIMENT_KEYS}
+        experiment = ExperimentConfig(env_id=env_id, hyperparams=dict(hyperparams), **named)
         options, packages = TrainingOptions(**about["options"]), tuple(about["gym_packages"])
         return Run(folder, experiment, about["seed"], about["device"], options, packages)
 
@@ -200,20 +186,6 @@ def clear(run: Run) -> None:
         path.unlink(missing_ok=True)
 
 
-def discard_if_empty(run: Run, created: Iterable[Path]) -> None:
-    """
-    Remove the folder of a run that failed before it had a model or a checkpoint.
-
-    :param created: Folders around it that were created for it, innermost first, which are removed if empty
-    """
-    from sb3_extensions.common.checkpoint import latest_checkpoint  # loads PyTorch
-
-    if run.has_model or latest_checkpoint(run.checkpoint_folder) is not None:
-        return
-    shutil.rmtree(run.folder, ignore_errors=True)
-    remove_empty(created)
-
-
 @dataclass(frozen=True)
 class Origin:
     """
@@ -241,10 +213,10 @@ def origin_of(run: Run) -> Origin:
         about: dict[str, Any] = read_yaml(run.resolved_file)[RUN_KEY]
     how = run.status
     return Origin(
-        minutes=None if how is None else round(how.seconds / 60, 1),
+        minutes=round(how.seconds / 60, 1) if how.since else None,
         command=repeating_command(run),
         commit=about["commit"],
-        date=day(time.time() if how is None else how.until or how.since + how.seconds),
+        date=day(how.until or (how.since or time.time()) + how.seconds),
         machine=about["machine"],
         versions=about["versions"],
     )

@@ -1,4 +1,4 @@
-"""Status of a run: which process trains it, and whether it is running, done, failed or killed."""
+"""Status of a run: which process trains it, and whether it is waiting, running, done, failed or killed."""
 
 import contextlib
 import fcntl
@@ -23,6 +23,7 @@ TRIES, TRY_SECONDS = 10, 0.05
 class State(str, Enum):
     """State of a run."""
 
+    WAITING = "waiting"
     RUNNING = "running"
     DONE = "done"
     FAILED = "failed"
@@ -42,7 +43,7 @@ class RunStatus(NamedTuple):
     :param until: End of that process, in seconds since 1970; 0 while it runs or if it was killed
     """
 
-    state: State
+    state: State = State.WAITING
     host: str = ""
     pid: int = 0
     since: float = 0.0
@@ -51,22 +52,21 @@ class RunStatus(NamedTuple):
     until: float = 0.0
 
 
-def run_status(folder: Path) -> RunStatus | None:
+def run_status(folder: Path) -> RunStatus:
     """
-    Return the status of a run, None before the training; raise ``CommandError`` if its file is damaged.
+    Return the status of a run; raise ``CommandError`` if its file is damaged.
 
     A run that is recorded as running without a process was killed.
     """
     found = _read(folder)
-    if found is not None and found.state is State.RUNNING and not is_training(folder):
-        return found._replace(state=State.KILLED)
-    return found
+    is_killed = found.state is State.RUNNING and not is_training(folder)
+    return found._replace(state=State.KILLED) if is_killed else found
 
 
-def _read(folder: Path) -> RunStatus | None:
+def _read(folder: Path) -> RunStatus:
     path = folder / STATE_FILE
     if not path.is_file():
-        return None
+        return RunStatus()
     content = read_yaml(path)
     with refused(f"{path} cannot be read"):
         return RunStatus(**{**content, "state": State(content["state"])})
@@ -102,7 +102,7 @@ def set_status(folder: Path, state: State, error: str = "") -> None:
     """
     if is_training(folder):
         return
-    found = _read(folder) or RunStatus(State.KILLED, socket.gethostname(), os.getpid(), time.time())
+    found = _read(folder)
     if found.state is not State.DONE:
         _write(folder, found._replace(state=state, error=error))
 
@@ -136,11 +136,9 @@ def run_lock(folder: Path, checkpoint: Path | None = None) -> Iterator[None]:
         _write(folder, _ended(begun, State.DONE))
 
 
-def _spent(before: RunStatus | None, checkpoint: Path | None) -> float:
+def _spent(before: RunStatus, checkpoint: Path | None) -> float:
     """Return the earlier training time, that of a killed process up to its last checkpoint."""
-    if before is None:
-        return 0.0
-    if before.until or before.state is State.DONE or checkpoint is None:
+    if checkpoint is None or before.until or not before.since or before.state is State.DONE:
         return before.seconds
     return before.seconds + max(0.0, checkpoint.stat().st_mtime - before.since)
 

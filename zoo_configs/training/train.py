@@ -1,5 +1,6 @@
 """Training of one experiment: the common path of ``train``, ``tune`` and ``benchmark``."""
 
+import shutil
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -14,13 +15,14 @@ from stable_baselines3.common.utils import set_random_seed
 
 from sb3_extensions.common.checkpoint import CheckpointError, latest_checkpoint, latest_valid_checkpoint
 from zoo_configs.arguments import check_device
-from zoo_configs.environments import known_env_id, register_environments, tried_env
+from zoo_configs.environments import register_environments, tried_env
 from zoo_configs.errors import CommandError
 from zoo_configs.experiments.config import ExperimentConfig
 from zoo_configs.experiments.validation import check_experiment, check_expert_data
-from zoo_configs.files import missing_folders
+from zoo_configs.files import made_folder, write_yaml
+from zoo_configs.training.evaluation import save_model
 from zoo_configs.training.options import TrainingOptions
-from zoo_configs.training.runs import Run, claim_run_folder, clear, discard_if_empty, load_run, write_resolved
+from zoo_configs.training.runs import Run, claim_run_folder, clear, load_run, write_resolved
 from zoo_configs.training.state import State, run_lock
 from zoo_configs.training.trainer import Trainer
 
@@ -71,22 +73,21 @@ def train_experiment(
     :raises CommandError: for an experiment that cannot be trained; no file has changed then
     :raises KeyboardInterrupt: after Ctrl-C, when the model is saved
     """
-    register_environments(gym_packages)
-    run = Run(
-        Path(), experiment, seed, device, options or TrainingOptions.of(experiment), tuple(gym_packages)
-    )
-    check_run(run, allow_mismatched_demos)
+    options = options or TrainingOptions.of(experiment)
+    run = Run(Path(at or ""), experiment, seed, device, options, tuple(gym_packages))
     if at is not None:
-        return _train_at(replace(run, folder=Path(at)), callbacks, progress)
+        return train_run(run, callbacks, progress, allow_mismatched_demos)
+    check_run(run, allow_mismatched_demos)
     logs = Path(folder) / experiment.algo
-    created = missing_folders(logs)
-    run = replace(run, folder=claim_run_folder(logs, experiment.env_id))
-    try:
-        write_resolved(run)
-        return _train(run, None, callbacks, progress)
-    except BaseException:
-        discard_if_empty(run, created)
-        raise
+    with made_folder(logs):
+        run = replace(run, folder=claim_run_folder(logs, experiment.env_id))
+        try:
+            write_resolved(run)
+            return _train(run, None, callbacks, progress)
+        except BaseException:
+            if not run.has_model and latest_checkpoint(run.checkpoint_folder) is None:
+                shutil.rmtree(run.folder, ignore_errors=True)
+            raise
 
 
 def resume_run(run: Run, progress: bool = False) -> Run:
@@ -97,33 +98,26 @@ def resume_run(run: Run, progress: bool = False) -> Run:
     :raises CommandError: if there is no valid checkpoint, or the run is finished
     :raises KeyboardInterrupt: after Ctrl-C, when the model is saved
     """
-    register_environments(run.gym_packages)
-    known_env_id(run.experiment.env_id)
     begun = load_run(run.folder).options.eval_episodes
     if run.evaluations_file.is_file() and run.options.eval_episodes != begun:
         raise CommandError(f"eval_episodes must be {begun} as at the start, got {run.options.eval_episodes}")
-    check_run(run, resumed=True)
+    check_run(run, allow_mismatched_demos=True)  # the replay buffer contains the demonstrations
     checkpoint = _latest_checkpoint(run)
-    status, steps = run.status, _timesteps(checkpoint)
-    if status is not None and status.state is State.DONE and steps >= run.n_timesteps:
+    steps = int(checkpoint.name.split("_")[1])
+    if run.status.state is State.DONE and steps >= run.n_timesteps:
         done = f"run {run.folder} is already finished ({steps} of {run.n_timesteps} steps)"
         raise CommandError(f"{done}. Pass a larger -n to continue.")
     return _train(run, checkpoint, (), progress)
 
 
-def check_run(run: Run, allow_mismatched_demos: bool = False, resumed: bool = False) -> None:
-    """
-    Check that a run can be trained, before anything is built.
-
-    :param allow_mismatched_demos: Whether ``expert_data`` may come from another environment
-    :param resumed: Whether its replay buffer already contains the demonstrations
-    :raises CommandError: if it cannot
-    """
+def check_run(run: Run, allow_mismatched_demos: bool) -> None:
+    """Raise ``CommandError`` if a run cannot be trained, before anything is built."""
+    register_environments(run.gym_packages)
     check_experiment(run.experiment)
     check_device(run.device)
     env_kwargs = run.experiment.hyperparams.get("env_kwargs", {})
     with tried_env(run.experiment.env_id, env_kwargs) as env:
-        if not (resumed or allow_mismatched_demos):
+        if not allow_mismatched_demos:
             check_expert_data(run.experiment, env)
 
 
@@ -136,18 +130,23 @@ def check_same(found: Run, wanted: Run) -> None:
         raise CommandError(f"{found.folder} has a run with seed {found.seed}, not {wanted.seed}")
 
 
-def _train_at(run: Run, callbacks: Sequence[BaseCallback], progress: bool) -> Run:
-    """Start or resume a run in its folder, or return a finished one."""
+def train_run(
+    run: Run,
+    callbacks: Sequence[BaseCallback] = (),
+    progress: bool = False,
+    allow_mismatched_demos: bool = False,
+) -> Run:
+    """Start or resume a run in its folder, or return a finished one, as :func:`train_experiment` does."""
+    check_run(run, allow_mismatched_demos)
     if run.resolved_file.is_file():
         check_same(load_run(run.folder), run)
-    status = run.status
-    if status is not None and status.state is State.DONE:
+    if run.status.state is State.DONE:
         return run
     run.folder.mkdir(parents=True, exist_ok=True)
-    if latest_checkpoint(run.checkpoint_folder) is not None:
-        return _train(run, _latest_checkpoint(run), callbacks, progress)
-    write_resolved(run)
-    return _train(run, None, callbacks, progress)
+    is_begun = latest_checkpoint(run.checkpoint_folder) is not None
+    if not is_begun:
+        write_resolved(run)
+    return _train(run, _latest_checkpoint(run) if is_begun else None, callbacks, progress)
 
 
 def _latest_checkpoint(run: Run) -> Path:
@@ -161,11 +160,6 @@ def _latest_checkpoint(run: Run) -> Path:
     return checkpoint
 
 
-def _timesteps(checkpoint: Path) -> int:
-    """Return the time steps of a checkpoint, from its name."""
-    return int(checkpoint.name.split("_")[1])
-
-
 def _train(run: Run, checkpoint: Path | None, callbacks: Sequence[BaseCallback], progress: bool) -> Run:
     tracking = _tracked(run) if run.options.track else nullcontext(run)
     with run_lock(run.folder, checkpoint), _threads(run.options.num_threads), tracking as logged:
@@ -173,11 +167,12 @@ def _train(run: Run, checkpoint: Path | None, callbacks: Sequence[BaseCallback],
             clear(run)
         set_random_seed(run.seed)
         with closing(Trainer(logged, checkpoint, callbacks, progress)) as trainer:
-            trainer.write_configuration()
+            # rl_zoo3 loads a run with this file.
+            write_yaml(run.params_folder / "config.yml", dict(sorted(run.experiment.hyperparams.items())))
             if run.options.verbose:
                 print(f"Training in {run.folder}", flush=True)
             finished = trainer.learn()
-            trainer.save()
+            save_model(run, trainer.model, run.last_model)
         if not finished:
             raise TrainingInterrupted(run)
     return run

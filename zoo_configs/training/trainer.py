@@ -2,7 +2,7 @@
 
 import contextlib
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +18,8 @@ from zoo_configs.algorithms import algorithm_classes
 from zoo_configs.environments import load_expert_data
 from zoo_configs.errors import CommandError, reason, refused
 from zoo_configs.experiments.validation import policy_class
-from zoo_configs.files import write_yaml
 from zoo_configs.training.certificate import Certificate
-from zoo_configs.training.evaluation import PeriodicEvaluation, TrainingLog, save_model
+from zoo_configs.training.evaluation import PeriodicEvaluation, TrainingLog
 from zoo_configs.training.objects import TRAINER_KEYS, action_noise, build_vec_env, callbacks, parsed
 from zoo_configs.training.runs import Run, env_folder_name
 from zoo_configs.training.seeds import SeedStream, stream_seed
@@ -106,14 +105,6 @@ class Trainer:
             raise CommandError(f"{where}: {reason(error)}") from error
         return True
 
-    def save(self) -> None:
-        """Save the model and the normalisation statistics atomically."""
-        save_model(self.run, self.model, self.run.last_model)
-
-    def write_configuration(self) -> None:
-        """Write the hyperparameters with which rl_zoo3 loads a run."""
-        write_yaml(self.run.params_folder / "config.yml", dict(sorted(self.hyperparams.items())))
-
     def close(self) -> None:
         """Close all environments."""
         for env in (self.env, self.evaluation_env):
@@ -160,7 +151,7 @@ class Trainer:
         if not self.options.trained_agent:
             model: BaseAlgorithm = self.algorithm(env=env, **kwargs)
             return model
-        _check_policy(self.algorithm, self.options.trained_agent, kwargs.pop("policy"))
+        self._check_policy(kwargs.pop("policy"))
         kwargs.pop("policy_kwargs", None)
         # Arguments that are not named would be the file's, but those of the buffer are the run's.
         if (default := getattr(self.algorithm, "default_replay_buffer_class", None)) is not None:
@@ -184,12 +175,11 @@ class Trainer:
             "tensorboard_log": tensorboard,
         }
 
-
-def _check_policy(algorithm: type[Any], file: str, policy: str | type[Any]) -> None:
-    """Check that a model file has the policy of the hyperparameters."""
-    data: Mapping[str, Any] = load_from_zip_file(file, device="cpu")[0] or {}
-    wanted = policy_class(algorithm, policy) if isinstance(policy, str) else policy
-    found = data.get("policy_class", type(None))
-    if found is not wanted:
-        names = [f"{cls.__module__}.{cls.__qualname__}" for cls in (found, wanted)]
-        raise CommandError(f"the policy in {file} is {names[0]}, this run's {names[1]}")
+    def _check_policy(self, policy: str | type[Any]) -> None:
+        """Check that the model file has the policy of the hyperparameters."""
+        data = load_from_zip_file(self.options.trained_agent, device="cpu")[0] or {}
+        wanted = policy_class(self.algorithm, policy) if isinstance(policy, str) else policy
+        found = data.get("policy_class", type(None))
+        if found is not wanted:
+            names = [f"{cls.__module__}.{cls.__qualname__}" for cls in (found, wanted)]
+            raise CommandError(f"the policy of the model file is {names[0]}, this run's {names[1]}")

@@ -7,7 +7,6 @@ import inspect
 import json
 import math
 from collections.abc import Mapping
-from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,11 +14,10 @@ import optuna
 
 from zoo_configs.algorithms import algorithm_classes, constructor_arguments
 from zoo_configs.errors import CommandError, check_names
-from zoo_configs.experiments.config import ExperimentConfig, merge
-from zoo_configs.files import parse_yaml, read_yaml
+from zoo_configs.experiments.config import ExperimentConfig, look_up, merge
+from zoo_configs.files import read_yaml
 from zoo_configs.training.objects import SCHEDULE, TRAINER_KEYS
 
-SHIPPED = "algorithms.yml"
 KEYS = ("low", "high", "log", "choices", "needs")
 BASELINE = "baseline"
 """Attribute of the trial that trains the baseline itself."""
@@ -98,8 +96,8 @@ def load_space(
 
 @functools.cache
 def _shipped_spaces() -> dict[str, Any]:
-    folder = resources.files("zoo_configs") / "hyperparams" / "spaces"
-    return dict(parse_yaml((folder / SHIPPED).read_text(encoding="utf-8")))
+    folder = Path(__file__).resolve().parents[1] / "hyperparams" / "spaces"
+    return dict(read_yaml(folder / "algorithms.yml"))
 
 
 def parse_space(where: str, data: Any) -> list[Parameter]:
@@ -122,8 +120,8 @@ def _parse_parameter(where: str, name: str, given: Any) -> Parameter:
     high: Any = given.get("high")
     least = 0 if given.get("log") else -math.inf
     if not (_is_number(low) and _is_number(high) and least < low < high):
-        positive = "positive " if given.get("log") else ""
-        raise CommandError(f"{name} of {where} must have {positive}numbers low < high, got {dict(given)}")
+        kind = "positive numbers" if least == 0 else "numbers"
+        raise CommandError(f"{name} of {where} must have {kind} low < high, got {dict(given)}")
     return Parameter(name, **given)
 
 
@@ -141,7 +139,7 @@ def _is_integer(parameter: Parameter, experiment: ExperimentConfig) -> bool:
 
 def baseline_value(name: str, experiment: ExperimentConfig) -> Any:
     """Return a hyperparameter's value, a schedule's first one, or the default; None if unknown."""
-    value = _look_up(experiment.hyperparams, name)
+    value = look_up(experiment.hyperparams, name)
     argument = _argument(name, experiment)
     if value is None and argument is not None and argument.default is not argument.empty:
         value = argument.default
@@ -174,20 +172,13 @@ def sample_params(
         return {}
     sampled: dict[str, Any] = {}
     for parameter in space:
-        value, before = parameter.suggest(trial), _look_up(experiment.hyperparams, parameter.name)
+        value, before = parameter.suggest(trial), look_up(experiment.hyperparams, parameter.name)
         if isinstance(before, str) and (schedule := SCHEDULE.fullmatch(before)) and not parameter.choices:
             value = f"{schedule[1]}{value}"  # a schedule keeps its form
         for key in reversed(parameter.name.split(".")):
             value = {key: value}
         sampled = merge(sampled, value)
     return sampled
-
-
-def _look_up(mapping: Mapping[str, Any], name: str) -> Any:
-    found: Any = mapping
-    for key in name.split("."):
-        found = found.get(key) if isinstance(found, Mapping) else None
-    return found
 
 
 def _equal(left: Any, right: Any) -> bool:

@@ -3,7 +3,7 @@
 import fcntl
 import json
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,19 +23,15 @@ from optuna.trial import FrozenTrial, TrialState
 from stable_baselines3.common.callbacks import BaseCallback
 from tqdm import tqdm
 
-from zoo_configs.arguments import hides_progress
 from zoo_configs.drawing.curves import load_curve
 from zoo_configs.errors import CommandError, reason, refused
-from zoo_configs.experiments.config import ExperimentConfig, merge
 from zoo_configs.files import whole_file, write_yaml
-from zoo_configs.training.options import TrainingOptions
 from zoo_configs.training.runs import EVALUATIONS_FILE, Run, load_run
 from zoo_configs.training.seeds import SeedStream, stream_seed
 from zoo_configs.training.state import is_locked, lock
-from zoo_configs.training.train import train_experiment
+from zoo_configs.training.train import train_run
 from zoo_configs.tuning.space import BASELINE, Parameter, first_values, sample_params
 
-JOURNAL = "journal.log"
 STUDY, FOLDER = "study", "folder"
 """Attributes of a study: its subject and its folder."""
 ERROR, REPEATS, PRUNED = "error", "repeats", "pruned"
@@ -57,44 +53,35 @@ class Search:
     Subject and settings of a study.
 
     :param name: Name of the study
-    :param folder: Its folder, shared by all processes: trials, demonstrations and by default the storage
-    :param experiment: The experiment; its values are the first trial
-    :param space: Its search space
-    :param seed: Seed of models, environments and sampler
-    :param options: Options of a trial's training
+    :param run: Run of which the trials differ in their hyperparameters; its values are the first trial. Its
+        folder is that of the study, shared by all processes: trials and by default the storage
+    :param space: Search space of the experiment
     :param n_trials: Number of trials of all processes
     :param pruner: ``"median"`` or ``"none"``
     :param n_startup_trials: Number of trials that are sampled at random, and of complete trials before
         another one is pruned
     :param storage: URL of a database, None for a journal in the folder
-    :param device: PyTorch device
-    :param gym_packages: Packages that register the environment, in addition to ours
     """
 
     name: str
-    folder: Path
-    experiment: ExperimentConfig
+    run: Run
     space: tuple[Parameter, ...]
-    seed: int
-    options: TrainingOptions
     n_trials: int
     pruner: str = "median"
     n_startup_trials: int = 10
     storage: str | None = None
-    device: str = "auto"
-    gym_packages: tuple[str, ...] = ()
 
     @property
     def storage_name(self) -> str:
         """Name of the storage for ``optuna-dashboard``."""
-        return self.storage or str(self.folder / JOURNAL)
+        return self.storage or str(self.run.folder / "journal.log")
 
     def about(self) -> dict[str, Any]:
         """Return everything that the meaning of a trial depends on, as plain data."""
         names = ("env_id", "algo", "baseline", "preset", "benchmark", "hyperparams")
-        experiment = {name: getattr(self.experiment, name) for name in names}
-        space = [list(parameter) for parameter in self.space]
-        content = {**experiment, "space": space, "seed": self.seed, "options": self.options.plain()}
+        experiment = {name: getattr(self.run.experiment, name) for name in names}
+        options, seed = self.run.options.plain(), self.run.seed
+        content = {**experiment, "space": self.space, "seed": seed, "options": options}
         return dict(json.loads(json.dumps(content)))
 
 
@@ -105,8 +92,8 @@ def open_study(search: Search) -> optuna.Study:
     :raises CommandError: if the storage cannot be opened, or its study has another subject, another folder or
         belongs to another program
     """
-    search.folder.mkdir(parents=True, exist_ok=True)
-    with _alone(search.folder):
+    search.run.folder.mkdir(parents=True, exist_ok=True)
+    with _alone(search.run.folder):
         with refused(f"--storage: {search.storage_name} cannot be opened"):
             is_median = search.pruner == "median"
             study = optuna.create_study(
@@ -118,16 +105,15 @@ def open_study(search: Search) -> optuna.Study:
             )
         if STUDY not in study.user_attrs:
             _check_new(search, study)
-            study.set_user_attr(FOLDER, _identify(search.folder))
-            study.enqueue_trial(first_values(search.space, search.experiment), {BASELINE: True})
+            study.set_user_attr(FOLDER, _identify(search.run.folder))
+            study.enqueue_trial(first_values(search.space, search.run.experiment), {BASELINE: True})
             study.set_user_attr(STUDY, search.about())
     begun = study.user_attrs[STUDY]
     if others := [name for name, value in search.about().items() if begun.get(name) != value]:
-        raise CommandError(
-            f"study {search.name} exists with other {', '.join(others)}. Use another --study-name."
-        )
-    if study.user_attrs[FOLDER] != _identify(search.folder):
-        raise CommandError(f"study {search.name} has another folder than {search.folder}. Share that folder.")
+        different = f"study {search.name} exists with other {', '.join(others)}"
+        raise CommandError(f"{different}. Use another --study-name.")
+    if study.user_attrs[FOLDER] != _identify(search.run.folder):
+        raise CommandError(f"study {search.name} has another folder than {search.run.folder}. Share it.")
     return study
 
 
@@ -136,20 +122,18 @@ def _check_new(search: Search, study: optuna.Study) -> None:
     trials = len(study.get_trials(deepcopy=False))
     is_new = not trials and not study.user_attrs and study.directions == [StudyDirection.MAXIMIZE]
     if not is_new and FOLDER not in study.user_attrs:  # with it, a process of ours was killed
-        raise CommandError(
-            f"--study-name must be a new study or one of bulletarm-zoo tune, got {search.name} of another "
-            f"program ({trials} trials). Use another --study-name."
-        )
+        constraint = "a new study or one of bulletarm-zoo tune"
+        raise CommandError(f"--study-name must be {constraint}, got {search.name} with {trials} trials")
 
 
-def work(search: Search, study: optuna.Study, progress: bool | None = False) -> None:
+def work(search: Search, study: optuna.Study, progress: bool = False) -> None:
     """
     Train trials until the study has ``n_trials``. Other processes can do so at the same time.
 
-    :param progress: Whether to show a bar of the study's finished trials; None shows it on a terminal
+    :param progress: Whether to show a bar of the study's finished trials
     """
-    number, hidden, done = search.n_trials, hides_progress(progress), _count_finished(study)
-    with tqdm(total=number, initial=done, unit="trial", disable=hidden) as bar:
+    number, done = search.n_trials, _count_finished(study)
+    with tqdm(total=number, initial=done, unit="trial", disable=not progress) as bar:
         while (claimed := _next_trial(search, study)) is not None:
             trial, claim = claimed
             with claim:
@@ -157,36 +141,34 @@ def work(search: Search, study: optuna.Study, progress: bool | None = False) -> 
             bar.update(_count_finished(study) - bar.n)
 
 
-def retried(trials: Iterable[FrozenTrial]) -> set[int]:
-    """Return the numbers of the trials that another one repeats, which do not count."""
-    return {number for trial in trials for number in trial.user_attrs.get(REPEATS, ())}
+def counted(study: optuna.Study) -> list[FrozenTrial]:
+    """Return the trials of all processes without those that another one repeats."""
+    trials = study.get_trials(deepcopy=False)
+    repeated = {number for trial in trials for number in trial.user_attrs.get(REPEATS, ())}
+    return [trial for trial in trials if trial.number not in repeated]
 
 
 def _count_finished(study: optuna.Study) -> int:
-    """Return the number of finished trials of all processes."""
-    trials = study.get_trials(deepcopy=False)
-    return len({trial.number for trial in trials if trial.state.is_finished()} - retried(trials))
+    return sum(trial.state.is_finished() for trial in counted(study))
 
 
-def trial_folder(search: Search, trial: FrozenTrial) -> Path:
+def trial_folder(search: Search, trial: optuna.Trial | FrozenTrial) -> Path:
     """Return the run folder of a trial, which a repeated trial shares with the first one."""
     first = [*trial.user_attrs.get(REPEATS, ()), trial.number][0]
-    return search.folder / f"trial_{first:04d}"
+    return search.run.folder / f"trial_{first:04d}"
 
 
 def _next_trial(search: Search, study: optuna.Study) -> tuple[optuna.Trial, IO[str]] | None:
     """Return the next trial and its locked file, None if there are enough trials."""
-    with _alone(search.folder):
+    with _alone(search.run.folder):
         _retry_stale(search, study)
-        trials = study.get_trials(deepcopy=False)
-        begun = [trial for trial in trials if trial.state is not TrialState.WAITING]
-        again = len(retried(trials))
-        if len(begun) - again >= search.n_trials:
+        begun = sum(trial.state is not TrialState.WAITING for trial in counted(study))
+        if begun >= search.n_trials:
             return None
-        seed = stream_seed(search.seed, SeedStream.SAMPLER, len(begun) - again)  # whatever the process
+        seed = stream_seed(search.run.seed, SeedStream.SAMPLER, begun)  # whatever the process
         study.sampler = TPESampler(seed=seed, n_startup_trials=search.n_startup_trials, constant_liar=True)
         trial = study.ask()
-        claim = _claim_file(search, study.get_trials(deepcopy=False)[trial.number]).open("a")
+        claim = _claim_file(search, trial).open("a")
         lock(claim)
         return trial, claim
 
@@ -206,29 +188,17 @@ def _retry_stale(search: Search, study: optuna.Study) -> None:
             study.add_trial(again)
 
 
-def _claim_file(search: Search, trial: FrozenTrial) -> Path:
+def _claim_file(search: Search, trial: optuna.Trial | FrozenTrial) -> Path:
     return trial_folder(search, trial).with_suffix(".lock")
 
 
 def _run(search: Search, study: optuna.Study, trial: optuna.Trial) -> None:
-    folder = trial_folder(search, study.get_trials(deepcopy=False)[trial.number])
+    folder = trial_folder(search, trial)
+    experiment = search.run.experiment
     try:
-        sampled = sample_params(search.experiment, search.space, trial)
-        experiment = replace(
-            search.experiment,
-            hyperparams=merge(search.experiment.hyperparams, sampled),
-            overrides=merge(search.experiment.overrides, sampled),
-        )
-        run = train_experiment(
-            experiment,
-            search.seed,
-            search.device,
-            search.folder,
-            options=search.options,
-            at=folder,
-            gym_packages=search.gym_packages,
-            callbacks=[ReportToTrial(trial, folder)],
-        )
+        sampled = sample_params(experiment, search.space, trial)
+        run = replace(search.run, folder=folder, experiment=experiment.overridden(sampled))
+        train_run(run, [ReportToTrial(trial, folder)])
         if trial.user_attrs.get(PRUNED):
             study.tell(trial, state=TrialState.PRUNED)
         else:
@@ -243,12 +213,9 @@ def _run(search: Search, study: optuna.Study, trial: optuna.Trial) -> None:
 def describe(trial: FrozenTrial) -> str:
     """Return number, result and values of a trial in one line."""
     ended = f"{trial.value:.3f}" if trial.value is not None else trial.user_attrs.get(ERROR, "")
-    values = ", ".join(f"{name} {_short(value)}" for name, value in trial.params.items())
+    short = {name: f"{v:.3g}" if isinstance(v, float) else v for name, v in trial.params.items()}
+    values = ", ".join(f"{name} {value}" for name, value in short.items())
     return f"trial {trial.number}: {trial.state.name.lower()} {ended} ({values})"
-
-
-def _short(value: Any) -> str:
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
 def _storage(search: Search) -> BaseStorage:
@@ -319,21 +286,19 @@ def write_report(search: Search, study: optuna.Study) -> list[Path]:
     if not complete:
         return []
     best = _write_best(search, study.best_trial)
-    return [best, *_draw(search.folder, study)] if len(complete) >= LEAST_TRIALS else [best]
+    return [best, *_draw(search.run.folder, study)] if len(complete) >= LEAST_TRIALS else [best]
 
 
 def summary(study: optuna.Study) -> str:
     """Return the number of a study's trials by state, without repeated ones."""
-    trials = study.get_trials(deepcopy=False)
-    again = retried(trials)
-    states = [trial.state.name.lower() for trial in trials if trial.number not in again]
+    states = [trial.state.name.lower() for trial in counted(study)]
     return ", ".join(f"{states.count(name)} {name}" for name in dict.fromkeys(states))
 
 
 def _write_best(search: Search, trial: FrozenTrial) -> Path:
     """Write the hyperparameters of the best trial for ``train --conf-file``."""
     run = load_run(trial_folder(search, trial))
-    path = search.folder / BEST_FILE
+    path = search.run.folder / BEST_FILE
     hyperparams = {**run.experiment.hyperparams, "n_timesteps": run.n_timesteps}
     write_yaml(path, {run.experiment.env_id: hyperparams}, f"{search.name}, {describe(trial)}")
     return path
