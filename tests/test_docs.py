@@ -1,9 +1,10 @@
-"""Every Python snippet of the documentation runs, in order, page by page; what it names exists."""
+"""The snippets of the documentation run, page by page; its commands are accepted; what it names exists."""
 
 import importlib
 import inspect
 import math
 import re
+import shlex
 import sys
 from pathlib import Path
 
@@ -11,11 +12,16 @@ import pytest
 
 import bulletarm_gym
 from fill_tables import filled
+from zoo_configs.cli import COMMANDS
+from zoo_configs.experiments.flags import find_experiment
+from zoo_configs.experiments.validation import check_experiment
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
 SNIPPET = re.compile(r"```python\n(.*?)```", re.DOTALL)
+COMMAND = re.compile(r"^ {4,}bulletarm-zoo (.+)$", re.MULTILINE)
 NAME = re.compile(r"`((?:bulletarm_gym|sb3_extensions|zoo_configs)(?:\.\w+)+)`")
+WITH_COMMANDS = [page for page in PAGES if COMMAND.search(page.read_text(encoding="utf-8"))]
 SIGNATURE = re.compile(r"^\| `([\w.]+)\(([^`]*)\)` \|", re.MULTILINE)
 NUMBER = re.compile(r"\| `([\w.]+)` \| `([^`]+)` \| (?:paper|release)")
 FILE = re.compile(r"# (\w+\.py)\n")
@@ -48,6 +54,21 @@ def _find(path):
         return importlib.import_module(path)
     except ModuleNotFoundError:
         return getattr(_find(module), name)
+
+
+def _parse(name, words):
+    module = importlib.import_module(f"zoo_configs.commands.{name}")
+    return module._parse(words) if hasattr(module, "_parse") else module.build_parser().parse_args(words)
+
+
+@pytest.mark.parametrize("page", WITH_COMMANDS, ids=lambda page: page.name)
+def test_commands_are_accepted(page):
+    for line in COMMAND.findall(re.sub(r"\\\n\s*", " ", page.read_text(encoding="utf-8"))):
+        name, *words = shlex.split(line, comments=True)
+        if name in COMMANDS and "..." not in words:
+            args = _parse(name, words)
+            if name == "train" and args.baseline and args.env in bulletarm_gym.ENV_IDS:
+                check_experiment(find_experiment(args))
 
 
 def test_names_exist():

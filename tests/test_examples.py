@@ -30,7 +30,6 @@ NOTEBOOKS = sorted((EXAMPLES / "tutorials").glob("*.ipynb"))
         "train_crossq.py --steps 104",  # after 100 random steps
         "train_curriculum.py --steps 110",
         "her_reaching.py --steps 304",  # after 300 random steps
-        "progress_reward.py --steps 104",  # after 100 random steps
         "train_asymmetric.py --steps 3 --expert-episodes 1",
     ],
 )

@@ -1,6 +1,5 @@
 """Convolutional encoders of a square image to a vector. Rotations by 90 degrees are exact."""
 
-import warnings
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from functools import cache
@@ -89,15 +88,11 @@ def scale_channels(size: int, halving: Sequence[int], last: Sequence[int]) -> tu
 
 @cache
 def has_bf16(device_type: str) -> bool:
-    """Return True if a type of device computes in bfloat16. Otherwise warn once that float32 is used."""
+    """Return True if a type of device computes in bfloat16."""
     if device_type == "cuda":
-        available = th.cuda.is_bf16_supported()
-    else:
-        probe = getattr(th.cpu, "_is_avx512_bf16_supported", None)
-        available = device_type == "cpu" and probe is not None and probe()
-    if not available:
-        warnings.warn(f"autocast='bf16': no bfloat16 on this {device_type}, float32 is used", stacklevel=2)
-    return bool(available)
+        return bool(th.cuda.is_bf16_supported())
+    probe = getattr(th.cpu, "_is_avx512_bf16_supported", None)
+    return device_type == "cpu" and probe is not None and bool(probe())
 
 
 def check_autocast(autocast: str | None) -> None:
@@ -148,7 +143,7 @@ class Encoder(nn.Module):
     See :func:`stack_stages` and :func:`plan_stages` for the other parameters.
 
     :param size: side of the image, pixels; resized if it is not 6 or 8 times a power of two
-    :param autocast: ``"bf16"`` for bfloat16 if the device supports it (otherwise float32 and a warning),
+    :param autocast: ``"bf16"`` for bfloat16 if the device supports it (otherwise float32),
         ``None`` for float32
     :raises ValueError: if size, number of stages and ``strided`` do not match, or ``autocast`` is unknown
     """

@@ -234,3 +234,13 @@ def test_other_formats_than_urdf_are_named(tmp_path):
         path.write_text(text)
         with pytest.raises(ValueError, match=f"{path}.*{reason}|{reason}.*{path}"):
             read_urdf(path)
+
+
+def test_collada_meshes_of_robots_are_read(tmp_path):
+    cone = Path(pybullet_data.getDataPath()) / "racecar" / "meshes" / "cone.dae"
+    assert min(simulated_size(write_model(tmp_path, "a.dae", cone.read_bytes()))) > 0.1
+
+
+def test_model_that_bullet_refuses_is_named():
+    with pytest.raises(ValueError, match="'lost'"):
+        load_urdf(Client(), "lost", "<robot/>", Pose((0.0, 0.0, 0.0)))

@@ -240,3 +240,14 @@ def test_mistake_of_a_task_is_named():
             env = make_env(PICKING, task=f"{__name__}:BlockShaking", obs_size=16)
             env.reset(seed=0)
             env.expert_action()
+
+
+def test_stack_in_the_gripper_is_not_a_success(make):
+    env = make(task_id("BlockStacking"), seed=0)
+    success = held = False
+    while not success:
+        held = env.scene.held is not None
+        *_, info = env.step(env.expert_action())
+        success = info["is_success"]
+        assert not (success and env.scene.held is not None)
+    assert held, "the step before released it"

@@ -282,3 +282,10 @@ def test_attach_joins_the_models_of_an_arm_and_a_gripper():
     twice = replace(PANDA, load=lambda: attach(PANDA.load(), "panda_link8", bare_panda(), ORIGIN))
     with pytest.raises(ValueError, match=r"distinct.*panda_link0"):
         _ = twice.urdf
+
+
+def test_names_of_joints_may_have_quotes():
+    name = """the "arm's" joint"""
+    joints = (*KUKA.joints[:2], name, *KUKA.joints[3:])
+    model = changed_kuka(put(KUKA.joints[2], "", name=name), joints=joints)
+    assert model.joints == joints and len(model.chain.axes) == 7

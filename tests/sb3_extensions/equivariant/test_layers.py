@@ -138,7 +138,6 @@ def test_initial_weights_keep_the_scale_of_a_signal_and_get_gradients():
     assert all(parameter.grad.abs().sum() > 0 for parameter in mixed.parameters())
 
 
-@pytest.mark.filterwarnings("ignore:autocast")
 def test_bfloat16_is_close_to_float32():
     exact, rounded = encoder_of(C4), encoder_of(C4, autocast="bf16")
     rounded.load_state_dict(exact.state_dict())
