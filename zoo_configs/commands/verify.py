@@ -40,11 +40,9 @@ def main(argv: Sequence[str]) -> None:
     last = recorded[-1]["updates"]
     print(f"{run.experiment.env_id}, {run.experiment.label}, seed {run.seed}: {last} updates")
     found = _repeat(run, last, args.progress)
-    trained = {name: certificate[name] for name in arithmetic()}
     if difference := first_difference(recorded, found):
         updates, quantity = difference
-        here = arithmetic()
-        others = {name: value for name, value in trained.items() if value != here[name]}
+        others = {name: certificate[name] for name, here in arithmetic().items() if certificate[name] != here}
         reason = f"; it was trained with {others}" if others else ""
         raise CommandError(f"{quantity} differ after {updates} updates{reason}")
     quantities = ", ".join(name for name in recorded[-1] if name != "updates")
