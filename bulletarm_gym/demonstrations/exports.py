@@ -61,6 +61,7 @@ def export_lerobot(
     *,
     cameras: Mapping[str, Mapping[str, Any]] = CAMERAS,
     object_poses: bool = False,
+    heightmaps: bool = False,
     task: str | None = None,
     fps: int | None = None,
 ) -> "LeRobotDataset":
@@ -73,8 +74,9 @@ def export_lerobot(
       whether it holds an object, (7,)
     - ``observation.environment_state``, with ``object_poses=True``: for each object 1 if it is present,
       position (m), quaternion, and the positions (m or rad) of its sliding and hinged parts
-    - ``observation.<name>``: the recorded observation, such as ``heightmap`` in metres, (obs_size, obs_size,
-      1), channels last; color images are ``observation.images.<name>``
+    - ``observation.images.<name>``, ``observation.<name>``: recorded color images and vectors
+    - ``observation.<name>``, with ``heightmaps=True``: other recorded images, such as ``heightmap`` in
+      metres, (obs_size, obs_size, 1), channels last
     - ``action``: (n,), named by the characters of ``action_sequence``
     - ``next.reward``, ``next.done``, ``next.success``: result of the action, (1,)
 
@@ -84,6 +86,8 @@ def export_lerobot(
     :param root: folder, by default that of LeRobot's datasets; written atomically
     :param cameras: parameters of the sensor ``rgb``, by the names of cameras
     :param object_poses: export the poses of the objects, which LeRobot's policies use as an observation
+    :param heightmaps: export recorded images that are not color images. LeRobot's policies do not use them,
+        and its loader converts them for each action of a chunk
     :param task: description of the task, by default the environment's ``instruction``
     :param fps: frames per second, by default ``render_fps``
     :return: the dataset
@@ -102,11 +106,20 @@ def export_lerobot(
         raise FileExistsError(f"root must be a new folder, got {target}, which exists")
     with closing(demonstrations.make_env()) as env, atomic_path(target) as temporary, _without_bars():
         core: ManipulationEnv = env.unwrapped  # type: ignore[assignment]
-        arguments = (demonstrations, core, cameras, object_poses)
+
+        def exported(number: int) -> Iterator[dict[str, NDArray[Any]]]:
+            found = observations(number, demonstrations, core, cameras, object_poses)
+            for frame in frames(demonstrations[number], found):
+                yield {
+                    name: values
+                    for name, values in frame.items()
+                    if heightmaps or values.ndim < 3 or name.startswith(IMAGES)
+                }
+
         dataset = LeRobotDataset.create(
             repo_id,
             fps=core.metadata["render_fps"] if fps is None else fps,
-            features=features(core, next(frames(demonstrations[0], observations(0, *arguments)))),
+            features=features(core, next(exported(0))),
             root=temporary,
             robot_type=core.config.robot,
             use_videos=False,
@@ -114,7 +127,7 @@ def export_lerobot(
         words = core.instruction if task is None else task
         try:
             for number in tqdm(range(len(demonstrations)), "lerobot", unit="episode", disable=None):
-                for frame in frames(demonstrations[number], observations(number, *arguments)):
+                for frame in exported(number):
                     dataset.add_frame({**frame, "task": words})
                 dataset.save_episode()
         finally:

@@ -9,7 +9,7 @@ ENV_ID = "BulletArm/CloseLoopBlockReaching-v0"
 REPO_ID, ROOT = "bulletarm/block-reaching", "block-reaching"
 
 expert = demonstrations.collect(ENV_ID, 3, seed=0, env_kwargs={"obs_size": 64})
-demonstrations.export_lerobot(expert, REPO_ID, ROOT)
+demonstrations.export_lerobot(expert, REPO_ID, ROOT, heightmaps=True)
 
 next_actions = {"action": [0.0, 0.2]}  # s; at 5 frames a second the action and the one after it
 dataset = LeRobotDataset(REPO_ID, root=ROOT, delta_timestamps=next_actions)

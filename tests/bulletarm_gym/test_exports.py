@@ -1,6 +1,7 @@
 """Exports of demonstrations to the formats of other libraries."""
 
 import json
+import shutil
 import sys
 from contextlib import closing
 from functools import partial
@@ -132,7 +133,11 @@ def assert_refusals(export, path):
 
 def test_lerobot_dataset(picked, tmp_path):
     pytest.importorskip("lerobot")
-    dataset = export_lerobot(picked, "bulletarm/picking", tmp_path / "set", task="Pick it up", fps=10)
+    without = export_lerobot(picked, "bulletarm/picking", tmp_path / "small", cameras={})
+    assert {"observation.heightmap", "observation.holding"} & {*without.features} == {"observation.holding"}
+    shutil.rmtree(tmp_path / "small")
+    arguments = {"heightmaps": True, "task": "Pick it up", "fps": 10}
+    dataset = export_lerobot(picked, "bulletarm/picking", tmp_path / "set", **arguments)
     assert (len(dataset), dataset.num_episodes, dataset.fps) == (sum(map(len, picked)), 2, 10)
     last = dataset[len(dataset) - 1]
     assert last["task"] == "Pick it up" and bool(last["next.success"]) and float(last["next.reward"]) == 1.0
