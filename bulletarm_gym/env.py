@@ -29,7 +29,6 @@ from bulletarm_gym.tasks import Task
 from bulletarm_gym.tasks.progress import DISCOUNT, Progress
 from bulletarm_gym.tasks.task import (
     arrange_scene,
-    check_heights,
     check_scene,
     checked_options,
     checked_slots,
@@ -113,7 +112,6 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         """Whether an episode without a seed begins with the objects that the previous one left."""
         # Making a generator is as slow as an image, and most tasks need none after an action.
         self._acts_after = task_type.after_action is not Task.after_action
-        check_heights(config, default, self.task)
         path = None if config.reward == PROGRESS else config.reward
         self._reward = self.objects.get("reward") or (REWARDS.find(path) if path else self.task.reward)
         kind = SURFACES.find("tray" if config.close_loop_tray else surface)
@@ -310,7 +308,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         return EnvState(
             self.scene.world.get_state(),
             self.scene.robot.get_state(),
-            self.scene.get_variants(),
+            tuple(obj.variant for obj in self.scene.all_objects),
             self._observer.get_memory(),
             self.task.memory,
             self.control.memory,
@@ -337,7 +335,8 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         check_fits(state, self._made_of)
         self.scene.world.set_state(state.world)
         self.scene.robot.set_state(state.robot)
-        self.scene.set_variants(state.cast)
+        for obj, variant in zip(self.scene.all_objects, state.cast, strict=True):
+            obj.variant = variant
         self._episode.set(state.narrowed, state.sampled, state.last_action)
         self._observer.set_memory(state.sensors)
         self.task.memory = state.memory

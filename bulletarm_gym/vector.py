@@ -147,10 +147,7 @@ def _common_sequence(sequences: Sequence[str]) -> str:
 
 
 def _common_observation_space(observations: Sequence[spaces.Dict]) -> spaces.Dict:
-    """Return the space of the observations of all tasks and ``task_id``.
-
-    :raises ValueError: two observations of one name cannot have a common space
-    """
+    """Return the space of the observations of all tasks and ``task_id``."""
     names = dict.fromkeys(name for space in observations for name in space)
     if TASK_ID in names:
         raise ValueError(f"observation must have sensors with other names than {TASK_ID!r}")
@@ -159,10 +156,7 @@ def _common_observation_space(observations: Sequence[spaces.Dict]) -> spaces.Dic
 
 
 def _common_box(name: str, boxes: Sequence[Any]) -> spaces.Box:
-    """Return the common space of an observation. A box is None if a task lacks the observation.
-
-    :raises ValueError: the types differ, or the shapes of images differ
-    """
+    """Return the common space of an observation. A box is None if a task lacks the observation."""
     kinds = {(box.shape, box.dtype.name) for box in boxes if box is not None}
     lengths, types = {len(shape) for shape, _ in kinds}, {dtype for _, dtype in kinds}
     if len(types) > 1 or (len(kinds) > 1 and lengths != {1}):

@@ -172,10 +172,6 @@ class OpenLoop(Control[PickPlace]):
     target's position in the workspace, z, its height above the floor, and the r's, theta, phi and psi.
     Without p the gripper picks if it is empty and places if it holds an object. Without z the height follows
     from heightmaps. Without r the gripper does not rotate.
-
-    :param config: the environment's parameters
-    :param robot: the robot that executes the moves
-    :param grasp_params: grasp parameters of the task
     """
 
     kind = OPEN_LOOP
@@ -195,11 +191,6 @@ class OpenLoop(Control[PickPlace]):
     # Actions
 
     def decode_action(self, action: ArrayLike, view: View) -> PickPlace:
-        """Return the pick or place of an action; numbers outside [-1, 1] are clipped.
-
-        :param view: last view of the scene, for the height of an action without z
-        :raises ValueError: the action has the wrong shape or is not finite
-        """
         value = dict(zip(self._names, self.numbers(action), strict=True))
         at = {
             name: low + (value[name] + 1.0) / 2.0 * (high - low) for name, (low, high) in self.ranges.items()

@@ -269,11 +269,7 @@ class Builder:
         return False
 
     def _supports(self, first: Footprint, last: Footprint) -> bool:
-        """Return True if the block above a base does not touch the surface next to it.
-
-        :param first: footprint of the first block of the base
-        :param last: footprint of the last block of the base
-        """
+        """Return True if the block above the first and last block of a base clears the surface."""
         surface, side = self._scene.surface, self._blueprint.side
         length = self._blueprint.length_above(self._blueprint.layers[0][-1], self._blocks)
         (x0, y0), (x1, y1) = first.mean, last.mean

@@ -52,7 +52,8 @@ class Footprint:
     @cached_property
     def mean(self) -> tuple[float, float]:
         """Mean x and y (m) of the points."""
-        return _mean(self.points)
+        x, y = self.points.mean(axis=0).tolist()
+        return (x, y)
 
     @cached_property
     def extent(self) -> tuple[float, float, float, float]:
@@ -106,22 +107,13 @@ def _shadow(vertices: FloatArray, x: float, y: float, orientation: Quaternion) -
 
 
 @compiled
-def _mean(points: FloatArray) -> tuple[float, float]:
-    x, y = points[0, 0], points[0, 1]
-    for row in range(1, len(points)):
-        x += points[row, 0]
-        y += points[row, 1]
-    return x / len(points), y / len(points)
-
-
-@compiled
 def _extent(points: FloatArray) -> tuple[float, float, float, float]:
     return points[:, 0].min(), points[:, 0].max(), points[:, 1].min(), points[:, 1].max()
 
 
 @compiled
 def _grown(points: FloatArray, margin: float) -> FloatArray:
-    x, y = _mean(points)
+    x, y = points[:, 0].mean(), points[:, 1].mean()
     grown = np.empty_like(points)
     for row in range(len(points)):
         dx, dy = points[row, 0] - x, points[row, 1] - y

@@ -162,15 +162,12 @@ class FlatSurface(Surface):
     """The plane z = 0."""
 
     def load(self, world: World) -> None:
-        """Load the ground plane."""
         self.bodies.append(world.add_plane(FLOOR))
 
     def heights(self, points: ArrayLike) -> FloatArray:
-        """Return the level everywhere."""
         return np.full(len(np.asarray(points)), self.level)
 
     def normal(self, xy: Point) -> Vector:
-        """Return the vertical everywhere."""
         return UP
 
 
@@ -185,7 +182,6 @@ class TraySurface(FlatSurface):
         self._side = self._size - RIM
 
     def load(self, world: World) -> None:
-        """Load the ground plane and the tray."""
         super().load(world)
         for spec in (tray_floor(self._size), tray_walls(self._size)):
             self.bodies.append(world.add(spec, Pose((*self.centre, 0.0))))
@@ -196,7 +192,6 @@ class TraySurface(FlatSurface):
         return FLOOR_HEIGHT
 
     def fits(self, footprint: Footprint, margin: float = 0.0) -> bool:
-        """Return True if a footprint is on the floor, ``margin`` (m) from the walls."""
         half = self._side / 2.0
         return footprint.is_inside([[middle - half, middle + half] for middle in self.centre], margin)
 

@@ -93,10 +93,6 @@ class ObjectGrasping(Lift):
     grasps = False
 
     def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
-        """Return all objects of the set, each in one size.
-
-        :raises ValueError: the set has fewer than ``num_objects`` objects, or unknown kinds
-        """
         specs = object_set(config.object_set)
         if len(specs) < config.num_objects:
             must = f"at most {len(specs)} with this object_set, got {config.num_objects}"
@@ -105,10 +101,6 @@ class ObjectGrasping(Lift):
         return [ObjectSlot(spec.name, (_resized(spec, scale),), scales=(scale,)) for spec, scale in sized]
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Drop objects into the tray.
-
-        :raises PlacementError: they do not stay in it
-        """
         for _ in range(ARRANGEMENTS):
             chosen = rng.choice(len(scene.objects), self.config.num_objects, replace=False)
             self.drop(scene, [scene.objects[index] for index in chosen], rng)
@@ -160,7 +152,6 @@ class ObjectGrasping(Lift):
             self.memory = (*failed, tool)[-MAX_FAILURES:]
 
     def plan_grasp(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
-        """Execute the best grasp, or push an object if no grasp is possible."""
         elevation = ElevationMap.of(scene)
         target = self._target(scene, elevation)
         if target is None:
@@ -217,14 +208,12 @@ class OpenLoopObjectGrasping(ObjectGrasping):
 
     @property
     def grasp_params(self) -> GraspParams:
-        """Parameters of deep grasps for which only the area between the fingers counts."""
         return GraspParams(pick_offset=PICK_DEPTH, pick_area=PICK_AREA)
 
     def after_action(self, scene: Scene, rng: np.random.Generator) -> None:
         """Remember nothing, because the episode is over."""
 
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
-        """Execute one of the best grasps; move an object if no grasp is possible."""
         if scene.held is not None:
             yield Waypoint(scene.robot.pose, CLOSED, finish=OPEN)
             return

@@ -73,7 +73,6 @@ class BlockSorting(Task):
         return super().height / 2.0 + BOWL_HEIGHT * BOWL_SCALE * max(self.config.scales)
 
     def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
-        """Return the bowls and the cubes."""
         pairs = range((config.num_objects - len(COLOURS)) // len(COLOURS))
         bowls = [scaled(config, f"{name} bowl", _coloured(_bowl, colour)) for name, colour in COLOURS.items()]
         return bowls + [
@@ -83,29 +82,24 @@ class BlockSorting(Task):
         ]
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Place all objects apart, with space for the gripper around each cube."""
         sample_until(
             lambda: place_apart(scene, rng, scene.objects, SPACING),
             lambda _: all(_has_space(scene, block) for block in _cubes(scene)),
         )
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
-        """Return whether the cubes are in their bowls, the gripper is empty and nothing moves."""
         placed = all(_is_in(_bowl_of(scene, block), block) for block in _cubes(scene))
         return success_at_rest(scene, is_sorted=placed)
 
     def parts(self, scene: Scene, rng: np.random.Generator) -> tuple[int, int]:
-        """Return the number of cubes in their bowls, and of all cubes."""
         cubes = _cubes(scene)
         released = (block for block in cubes if block is not scene.held)
         return sum(_is_in(_bowl_of(scene, block), block) for block in released), len(cubes)
 
     def is_valid(self, scene: Scene) -> bool:
-        """Return True if all objects are inside the workspace and the bowls are upright."""
         return super().is_valid(scene) and all(upright(scene[f"{name} bowl"]) for name in COLOURS)
 
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
-        """Grasp the next cube, or release it in its bowl."""
         held = scene.held
         if held in _cubes(scene):
             yield from _put(scene, held)
