@@ -1,7 +1,8 @@
 """Observations and heights of picks and places for a real robot, from the point cloud of its cameras.
 
 Frames and units are the same as in the environments: metres in the world, z upwards from the table's top, x
-from the robot to the workspace. The environments use the same code.
+from the robot to the workspace. ``workspace`` contains the limits along x, y and z. ``size`` is the side
+length of an image in pixels. The environments use the same code.
 """
 
 from collections.abc import Sequence
@@ -38,8 +39,7 @@ def close_loop_heightmap(
         that are not finite or above the workspace are ignored
     :param tool_pose: pose between the fingertips; its yaw is 0 if the fingers open along x
     :param opening: distance (m) between the inner sides of the fingers
-    :param workspace: limits of the workspace; the heightmap is 1.5 times as large
-    :param size: side length (pixels)
+    :param workspace: limits (m); the heightmap is 1.5 times as large
     :return: (1, size, size) m, within [0, 0.4]; rows grow with world x, columns with y
     :raises ValueError: no point is in the square, or ``points`` has another shape
     """
@@ -53,8 +53,6 @@ def open_loop_heightmap(
     """Return the heightmap of open-loop control: heights above the workspace's floor.
 
     :param points: (n, 3) points (m, world) with the table, without the robot and the grasped object
-    :param workspace: limits of the workspace
-    :param size: side length (pixels)
     :return: (1, size, size) m, within [0, 0.4]; rows grow with world x, columns with y
     :raises ValueError: no point is in the square, or ``points`` has another shape
     """
@@ -72,8 +70,6 @@ def in_hand_image(
 
     :param heightmap: (1, n, n), heightmap before the pick
     :param pick: pose (world) of the fingertips when they closed
-    :param workspace: limits of the workspace
-    :param size: side length (pixels)
     :param tilts: whether actions have three r's and the image three channels
     :return: (1, size, size) or (3, size, size) m, within [0, 0.4]
     """
@@ -96,7 +92,6 @@ def pick_height(
         ``grasp_params.pick_offset``
     :param area: length along the opening and width (m) of the area, ``grasp_params.pick_area``; by default a
         square of twice the depth
-    :param workspace: limits of the workspace
     """
     return workspace[2][0] + open_loop.pick_height(_map(heightmap, workspace), target, depth, area)
 
@@ -109,7 +104,6 @@ def measure_grasp(
     :param before: (1, n, n), heightmap before the pick
     :param after: (1, n, n), heightmap after the pick, without the grasped object
     :param closed_at: measured pose (world) of the fingertips when they closed
-    :param workspace: limits of the workspace
     """
     tips = _above_floor(closed_at, workspace)
     return open_loop.measure_grasp(_map(before, workspace), _map(after, workspace), tips)
@@ -128,7 +122,6 @@ def place_height(
     :param target: pose (world) of the fingertips, with any z
     :param grasp: measurements at the pick, see :func:`measure_grasp`
     :param gap: distance (m) of the object from the highest point below it, ``grasp_params.place_offset``
-    :param workspace: limits of the workspace
     """
     return workspace[2][0] + open_loop.place_height(_map(heightmap, workspace), target, grasp, gap)
 

@@ -88,12 +88,6 @@ class BumpSurface(Surface):
         return self._world.poses[self._platform.index]
 
     @property
-    def slopes(self) -> FloatArray:
-        """Slopes (rad) of the nine pyramids."""
-        found: FloatArray = np.arctan(self._slopes[self._numbers])
-        return found
-
-    @property
     def _numbers(self) -> list[int]:
         return [n for n, body in enumerate(self._pyramids) if self._world.active[body.index]]
 

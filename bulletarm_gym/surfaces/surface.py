@@ -49,7 +49,9 @@ class Surface(ABC):
     """Distance (m) that a body may move while it comes to rest; it is laid that far from the border."""
 
     def __init__(self, workspace: list[list[float]], site: Point = SITE) -> None:
-        self.workspace = workspace
+        (x0, x1), (y0, y1), _ = self.workspace = workspace
+        self.centre: Point = ((x0 + x1) / 2.0, (y0 + y1) / 2.0)
+        """Centre (m) of the workspace."""
         self.site = site
         self.bodies: list[Body] = []
         """Bodies of the surface, parked ones included."""
@@ -66,12 +68,6 @@ class Surface(ABC):
     def level(self) -> float:
         """Height (m) of the level ground for structures."""
         return 0.0
-
-    @property
-    def centre(self) -> Point:
-        """Centre (m) of the workspace."""
-        (x0, x1), (y0, y1), _ = self.workspace
-        return ((x0 + x1) / 2.0, (y0 + y1) / 2.0)
 
     @abstractmethod
     def heights(self, points: ArrayLike) -> FloatArray:

@@ -122,11 +122,6 @@ class Task(ABC):
         """Whether the task defines :meth:`arrange_goal`."""
         return type(self).arrange_goal is not Task.arrange_goal
 
-    @property
-    def keeps_scene(self) -> bool:
-        """Whether the task defines :meth:`continue_scene`."""
-        return type(self).continue_scene is not Task.continue_scene
-
     @abstractmethod
     def evaluate(self, scene: Scene) -> dict[str, bool]:
         """Return named facts about the scene; ``"success"`` is the goal.
