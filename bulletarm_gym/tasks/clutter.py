@@ -14,13 +14,12 @@ from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.experts.approach import ALIGNED, ALIGNED_YAW, HOVER, rotates
 from bulletarm_gym.experts.grasp_sampling import DEPTHS, YAWS, ElevationMap, find_grasps
 from bulletarm_gym.experts.pushing import singulate
-from bulletarm_gym.geometry import FloatArray, Mesh, PlacementError, Pose, planar_distance, wrap_angle
+from bulletarm_gym.geometry import FloatArray, PlacementError, Pose, planar_distance, wrap_angle
 from bulletarm_gym.objects.blocks import CUBE_SIZE
 from bulletarm_gym.objects.catalogue import object_set
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject
 from bulletarm_gym.scene.sampling import ARRANGEMENTS
 from bulletarm_gym.scene.stability import settle
-from bulletarm_gym.simulation import BodySpec, Convex, Piece
 from bulletarm_gym.tasks.picking import Lift
 
 DROP_HEIGHT = 0.12
@@ -97,8 +96,11 @@ class ObjectGrasping(Lift):
         if len(specs) < config.num_objects:
             must = f"at most {len(specs)} with this object_set, got {config.num_objects}"
             raise ValueError(f"num_objects must be {must}")
-        sized = zip(specs, cycle(config.scales), strict=False)
-        return [ObjectSlot(spec.name, (_resized(spec, scale),), scales=(scale,)) for spec, scale in sized]
+        slots = []
+        for spec, scale in zip(specs, cycle(config.scales), strict=False):
+            pieces = tuple(piece.scaled(scale) for piece in spec.pieces)
+            slots.append(ObjectSlot(spec.name, (replace(spec, pieces=pieces),), scales=(scale,)))
+        return slots
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         for _ in range(ARRANGEMENTS):
@@ -266,10 +268,3 @@ def _pose(grasp: FloatArray) -> Pose:
 def _half_turns(angles: FloatArray) -> FloatArray:
     """Return equivalent yaws (rad) of a symmetric gripper in [-pi/2, pi/2)."""
     return (angles + math.pi / 2.0) % math.pi - math.pi / 2.0
-
-
-def _resized(spec: BodySpec, scale: float) -> BodySpec:
-    if scale == 1.0:
-        return spec
-    meshes = [Mesh.of(piece.mesh.vertices * scale, piece.mesh.faces) for piece in spec.pieces]
-    return replace(spec, pieces=tuple(Piece(Convex(mesh)) for mesh in meshes))
