@@ -1,8 +1,9 @@
 """Sorting blocks by colour."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -74,9 +75,9 @@ class BlockSorting(Task):
 
     def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
         pairs = range((config.num_objects - len(COLOURS)) // len(COLOURS))
-        bowls = [scaled(config, f"{name} bowl", _coloured(_bowl, colour)) for name, colour in COLOURS.items()]
+        bowls = [scaled(config, f"{name} bowl", partial(_bowl, colour)) for name, colour in COLOURS.items()]
         return bowls + [
-            scaled(config, f"{name} cube {number}", _coloured(cube, colour), name)
+            scaled(config, f"{name} cube {number}", replace(cube, colour=colour), name)
             for number in pairs
             for name, colour in COLOURS.items()
         ]
@@ -182,10 +183,5 @@ def _is_in(vessel: SceneObject, block: SceneObject) -> bool:
     return is_below and math.hypot(x, y) < (BOWL_DIAMETER / 2.0 - BOWL_THICKNESS) * scale
 
 
-def _bowl(name: str, scale: float) -> BodySpec:
-    return bowl(name, BOWL_SCALE * scale)
-
-
-def _coloured(make: Callable[[str, float], BodySpec], colour: Colour) -> Callable[[str, float], BodySpec]:
-    """Return a function that makes the same objects in another colour."""
-    return lambda name, scale: replace(make(name, scale), colour=colour)
+def _bowl(colour: Colour, name: str, scale: float) -> BodySpec:
+    return replace(bowl, colour=colour)(name, BOWL_SCALE * scale)
