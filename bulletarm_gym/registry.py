@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property, partial
+from operator import attrgetter
 from typing import Any
 
 import gymnasium
@@ -36,13 +37,10 @@ def load(path: str) -> Any:
     """Import ``"module:attribute"``."""
     module, _, name = path.partition(":")
     try:
-        found = importlib.import_module(module)
-        for part in name.split("."):
-            found = getattr(found, part)
+        return attrgetter(name)(importlib.import_module(module))
     except (ImportError, AttributeError, ValueError) as error:
         advice = ". Define it in a module that this process can import" if module == "__main__" else ""
         raise ValueError(f"{path!r} cannot be imported: {error}{advice}") from error
-    return found
 
 
 def import_path(component: Any) -> str:

@@ -69,7 +69,7 @@ def _make_task(env_id: str | EnvSpec, kwargs: Mapping[str, Any], common: Mapping
     return CommonSpaces(gymnasium.make(env_id, **kwargs), **common)
 
 
-class CommonSpaces(gymnasium.Wrapper[Observation, Any, Observation, Any], RecordConstructorArgs):
+class CommonSpaces(gymnasium.ObservationWrapper[Observation, Any, Observation], RecordConstructorArgs):
     """Give the environment of one task the spaces of several tasks.
 
     Observations that the environment lacks are zeros, and vectors are padded with zeros. Numbers of an action
@@ -91,7 +91,7 @@ class CommonSpaces(gymnasium.Wrapper[Observation, Any, Observation, Any], Record
         RecordConstructorArgs.__init__(
             self, observation_space=observation_space, action_sequence=action_sequence, task=task
         )
-        gymnasium.Wrapper.__init__(self, env)
+        gymnasium.ObservationWrapper.__init__(self, env)
         space: Any = observation_space
         self.observation_space = deepcopy(space)
         self.action_sequence = action_sequence
@@ -100,14 +100,7 @@ class CommonSpaces(gymnasium.Wrapper[Observation, Any, Observation, Any], Record
         self._task_id = np.zeros(observation_space[TASK_ID].shape or (), np.float32)
         self._task_id[task] = 1.0
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observation, dict[str, Any]]:
-        """Begin an episode."""
-        observation, info = self.env.reset(seed=seed, options=options)
-        return self.observation(observation), info
-
-    def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def step(self, action: ArrayLike) -> tuple[Observation, Any, bool, bool, dict[str, Any]]:
         """Carry out an action of all tasks.
 
         :raises ValueError: the action has the wrong shape
@@ -115,8 +108,7 @@ class CommonSpaces(gymnasium.Wrapper[Observation, Any, Observation, Any], Record
         action = np.asarray(action)
         if action.shape != self.action_space.shape:
             raise ValueError(f"action must have the shape {self.action_space.shape}, got {action.shape}")
-        observation, reward, *ends, info = self.env.step(action[self._places])
-        return self.observation(observation), float(reward), *ends, info  # type: ignore[return-value]
+        return super().step(action[self._places])
 
     def observation(self, observation: Observation) -> Observation:
         """Return an observation of the environment as one of all tasks."""

@@ -139,7 +139,7 @@ class InstructionInfo(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorAr
         return observation, {**info, "instruction": sentences[int(self._rng.integers(len(sentences)))]}
 
 
-class GoalObservation(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
+class GoalObservation(gymnasium.ObservationWrapper[Any, Any, Any], RecordConstructorArgs):
     """Goal-conditioned environment with the interface of Gymnasium-Robotics' ``GoalEnv``.
 
     Observations are a ``Dict`` of ``observation``, ``achieved_goal`` and ``desired_goal``, one vector each.
@@ -166,19 +166,12 @@ class GoalObservation(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorAr
         observation = spaces.flatten_space(self._inner)
         self.observation_space = spaces.Dict(observation=observation, achieved_goal=goal, desired_goal=goal)
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        """Begin an episode, see :meth:`~bulletarm_gym.env.ManipulationEnv.reset`."""
-        observation, info = self.env.reset(seed=seed, options=options)
-        return self._observed(observation), info
-
     def step(self, action: Any) -> tuple[dict[str, NDArray[Any]], float, bool, bool, dict[str, Any]]:
         """Carry out an action; the reward is that of :meth:`compute_reward`."""
         observation, _, terminated, truncated, info = self.env.step(action)
         if terminated and info["is_success"]:
             terminated, truncated = False, not self._continue()
-        found = self._observed(observation)
+        found = self.observation(observation)
         reward = self.compute_reward(found["achieved_goal"], found["desired_goal"], info)
         return found, float(reward), terminated, truncated, info
 
@@ -200,7 +193,8 @@ class GoalObservation(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorAr
         """Return False: goals do not truncate an episode, only its number of steps does."""
         return False
 
-    def _observed(self, observation: Any) -> dict[str, NDArray[Any]]:
+    def observation(self, observation: Any) -> dict[str, NDArray[Any]]:
+        """Return an observation of the environment with both goals."""
         achieved, desired = self._core.task.goals(self._core.scene)
         flat = spaces.flatten(self._inner, observation)
         return {"observation": flat, "achieved_goal": achieved, "desired_goal": desired}
