@@ -15,12 +15,12 @@ from bulletarm_gym.experts.approach import ALIGNED, ALIGNED_YAW, HOVER, rotates
 from bulletarm_gym.experts.grasp_sampling import DEPTHS, YAWS, ElevationMap, find_grasps
 from bulletarm_gym.experts.pushing import singulate
 from bulletarm_gym.geometry import FloatArray, PlacementError, Pose, planar_distance, wrap_angle
-from bulletarm_gym.objects.blocks import CUBE_SIZE
 from bulletarm_gym.objects.catalogue import object_set
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject
 from bulletarm_gym.scene.sampling import ARRANGEMENTS
 from bulletarm_gym.scene.stability import settle
 from bulletarm_gym.tasks.picking import Lift
+from bulletarm_gym.tasks.task import Task
 
 DROP_HEIGHT = 0.12
 """Height (m) above the tray's floor from which objects are dropped."""
@@ -202,18 +202,11 @@ class OpenLoopObjectGrasping(ObjectGrasping):
     defaults = replace(DEFAULTS, num_objects=15, max_steps=1, lifts=False)
     controls = (OPEN_LOOP,)
     single_step = True
-
-    @property
-    def height(self) -> float:
-        """Height (m) of a largest object."""
-        return CUBE_SIZE * max(self.config.scales)
+    after_action = Task.after_action  # the episode is over
 
     @property
     def grasp_params(self) -> GraspParams:
         return GraspParams(pick_offset=PICK_DEPTH, pick_area=PICK_AREA)
-
-    def after_action(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Remember nothing, because the episode is over."""
 
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
         if scene.held is not None:

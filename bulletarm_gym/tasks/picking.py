@@ -102,8 +102,8 @@ class Lift(Task):
 
     @property
     def height(self) -> float:
-        """Height (m) to which the gripper must lift."""
-        return self.config.lift_height
+        """Height (m) to which the gripper must lift, if the success depends on it."""
+        return self.config.lift_height if self.defaults.lifts else super().height
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
         held = not is_empty(scene)
