@@ -258,7 +258,7 @@ class ResetOptions(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs)
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Begin an episode with the options of this wrapper and passed ones; a state replaces all others."""
-        given = options or {}
+        given = {} if options is None else options
         if isinstance(given, Mapping) and "state" not in given:
             given = {**self._options, **given}
         return self.env.reset(seed=seed, options=given)

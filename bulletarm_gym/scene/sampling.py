@@ -9,14 +9,12 @@ import numpy as np
 
 from bulletarm_gym.geometry import Footprint, PlacementError, Pose
 from bulletarm_gym.scene import Scene, SceneObject, cached_by_pose
-from bulletarm_gym.surfaces.surface import Point
+from bulletarm_gym.surfaces.surface import ATTEMPTS, Point
 
 T = TypeVar("T")
 
 GRASP_AREA = (0.21, 0.07)
 """Length and width (m) of the area around a block that tasks keep free for any gripper."""
-ATTEMPTS = 200
-"""Number of samples for one object before the whole arrangement is sampled again."""
 ARRANGEMENTS = 50
 """Number of arrangements before the workspace counts as too small."""
 GRID = 7

@@ -25,7 +25,7 @@ margin suffices, because corners may extend over the strip that rises to the wal
 UP: Vector = (0.0, 0.0, 1.0)
 """Normal of level ground."""
 ATTEMPTS = 200
-"""Number of samples before the surface counts as too small."""
+"""Number of samples of a pose before there counts to be no space for it."""
 
 
 class Surface(ABC):

@@ -123,9 +123,6 @@ class FreeSpace:
     """Search for a release pose in the bin, without collisions of the grasped block and the open fingers.
 
     All coordinates are in the bin's frame, and positions refer to the fingertips.
-
-    :param scene: scene with the bin
-    :param held: the grasped block
     """
 
     def __init__(self, scene: Scene, held: SceneObject) -> None:

@@ -266,8 +266,9 @@ def _changed_error(config: EnvConfig, default: EnvConfig, names: list[str], must
 
 def _check_home(config: EnvConfig, scene: Scene) -> None:
     """Check that ``home_height`` is within the workspace and, unless it is the default, above the objects."""
-    low, high = config.workspace[2]
-    if not low <= config.home_height <= (high if config.control == CLOSE_LOOP else math.inf):
+    low, top = config.workspace[2]
+    high = top if config.control == CLOSE_LOOP else math.inf
+    if not low <= config.home_height <= high:
         must = f"within the workspace, from {low:g} to {high:g} m"
         raise ParameterError.of("home_height", config.home_height, must)
     tallest = max((body.spec.extents[2] for item in scene.objects for body in item.bodies), default=0.0)

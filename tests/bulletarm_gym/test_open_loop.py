@@ -257,7 +257,8 @@ def test_images_and_heights_equal_those_of_the_environment(make):
         action = env.expert_action()
         move = env.decode_action(action)
         tool = env.control.executed(move)
-        height = real_arm.pick_height(before["heightmap"], tool, params.pick_offset, workspace=workspace)
+        maps = [real_arm.elevation_map(before["heightmap"], workspace)]
+        height = real_arm.pick_height(maps[0], tool, params.pick_offset)
         assert height == pytest.approx(tool.z)
         after, *_ = env.step(action)
         image = real_arm.in_hand_image(before["heightmap"], move.pose, workspace)
@@ -265,11 +266,12 @@ def test_images_and_heights_equal_those_of_the_environment(make):
         image = real_arm.open_loop_heightmap(cloud(env, shows_grasped=False), workspace)
         difference = np.abs(image - after["heightmap"])
         assert np.median(difference) < 1e-5 and (difference > 1e-3).mean() < 0.03
-        grasp = real_arm.measure_grasp(before["heightmap"], after["heightmap"], tool, workspace)
+        maps.append(real_arm.elevation_map(after["heightmap"], workspace))
+        grasp = real_arm.measure_grasp(*maps, tool)
         assert grasp is not None and tuple(grasp) == pytest.approx(env.control.memory, abs=1e-4)
         action = env.expert_action()
         tool = env.control.executed(env.decode_action(action))
-        height = real_arm.place_height(after["heightmap"], tool, grasp, params.place_offset, workspace)
+        height = real_arm.place_height(maps[1], tool, grasp, params.place_offset)
         assert height == pytest.approx(tool.z, abs=1e-4)
         before, *_ = env.step(action)
 
