@@ -170,7 +170,9 @@ class GoalObservation(gymnasium.ObservationWrapper[Any, Any, Any], RecordConstru
         """Carry out an action; the reward is that of :meth:`compute_reward`."""
         observation, _, terminated, truncated, info = self.env.step(action)
         if terminated and info["is_success"]:
-            terminated, truncated = False, not self._continue()
+            episode = self._core._episode
+            truncated = episode.steps >= self._core.config.max_steps
+            terminated, episode.ended = False, truncated
         found = self.observation(observation)
         reward = self.compute_reward(found["achieved_goal"], found["desired_goal"], info)
         return found, float(reward), terminated, truncated, info
@@ -198,14 +200,6 @@ class GoalObservation(gymnasium.ObservationWrapper[Any, Any, Any], RecordConstru
         achieved, desired = self._core.task.goals(self._core.scene)
         flat = spaces.flatten(self._inner, observation)
         return {"observation": flat, "achieved_goal": achieved, "desired_goal": desired}
-
-    def _continue(self) -> bool:
-        """Continue the episode after its end; return False at the limit of steps."""
-        state = self._core.get_state()
-        if state.steps >= self._core.config.max_steps:
-            return False
-        self._core.set_state(replace(state, ended=False))
-        return True
 
 
 def own_time_limit(env: gymnasium.Env[Any, Any], known: int | None) -> gymnasium.Env[Any, Any]:

@@ -74,7 +74,7 @@ class Task(ABC):
             if not isinstance(self.instructions, tuple):
                 raise TypeError
             sentences = tuple(str.format(sentence, **fields) for sentence in self.instructions)
-        except (LookupError, TypeError, ValueError) as error:
+        except (AttributeError, LookupError, TypeError, ValueError) as error:
             must = "a tuple of sentences with no fields except {num_objects} and {surface}"
             name = f"instructions of {type(self).__name__}"
             raise ValueError(f"{name} must be {must}, got {self.instructions!r}") from error
