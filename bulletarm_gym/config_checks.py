@@ -26,11 +26,7 @@ class ParameterError(ValueError):
 
     @classmethod
     def of(cls, name: str, got: object, must: str, reason: str = "") -> "ParameterError":
-        """Return the error of a parameter.
-
-        :param must: constraint on the value
-        :param reason: why the value is not valid
-        """
+        """Return the error of a parameter with a constraint on its value."""
         return cls(f"{name} must be {must}, got {got!r}{': ' if reason else ''}{reason}")
 
 
@@ -39,10 +35,7 @@ class Refused(ValueError):
 
 
 def check_argument(name: str, value: Any, check: Check) -> Any:
-    """Return an argument of a function as a check returns it.
-
-    :raises ParameterError: the value is not valid
-    """
+    """Return an argument of a function as a check returns it, or raise a :class:`ParameterError`."""
     try:
         return check(value)
     except Refused as refused:

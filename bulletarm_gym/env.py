@@ -29,14 +29,13 @@ from bulletarm_gym.tasks import Task
 from bulletarm_gym.tasks.progress import DISCOUNT, Progress
 from bulletarm_gym.tasks.task import (
     arrange_scene,
-    check_heights,
     check_scene,
     checked_options,
     checked_slots,
     evaluated,
     finite_reward,
 )
-from bulletarm_gym.wrappers import querying_wrappers, wrapped_expert
+from bulletarm_gym.wrappers import wrapped_expert
 
 Observation = dict[str, NDArray[Any]]
 Action = NDArray[np.float32]
@@ -109,11 +108,10 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         """Make the task and load its bodies."""
         config = self.config
         self.task: Task = task_type(config)
-        self.keeps_scene = self.task.keeps_scene
+        self.keeps_scene = task_type.continue_scene is not Task.continue_scene
         """Whether an episode without a seed begins with the objects that the previous one left."""
         # Making a generator is as slow as an image, and most tasks need none after an action.
         self._acts_after = task_type.after_action is not Task.after_action
-        check_heights(config, default, self.task)
         path = None if config.reward == PROGRESS else config.reward
         self._reward = self.objects.get("reward") or (REWARDS.find(path) if path else self.task.reward)
         kind = SURFACES.find("tray" if config.close_loop_tray else surface)
@@ -179,7 +177,11 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         rng = episode.rng(ARRANGEMENT)
         if is_new or not self.task.continue_scene(self.scene, rng):
             episode.begin(narrowed)
-            arrange_scene(self.scene, self.control, arrange, rng, self._changed)
+            try:
+                arrange_scene(self.scene, self.control, arrange, rng, self._changed)
+            except Exception:
+                episode.seed = None
+                raise
             episode.randomize()
         else:
             self.control.start()
@@ -290,14 +292,11 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         :raises ValueError: a wrapper changes actions in a way that cannot be inverted
         """
         if name == "expert_action":
-            return wrapped_expert(self.expert_action, querying_wrappers(self))
+            return wrapped_expert(self, self.expert_action)
         return super().get_wrapper_attr(name)
 
     def measure(self) -> dict[str, float]:
-        """Return a dict whose values grow by the seconds of simulation steps and of heightmaps from now on.
-
-        Its keys are ``"physics"`` and ``"rendering"``. Nothing is measured before the first call.
-        """
+        """Return a dict of seconds of ``"physics"`` and ``"rendering"`` that grow from the first call on."""
         return measure(self.scene)
 
     def get_state(self) -> EnvState:
@@ -310,7 +309,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         return EnvState(
             self.scene.world.get_state(),
             self.scene.robot.get_state(),
-            self.scene.get_variants(),
+            tuple(obj.variant for obj in self.scene.all_objects),
             self._observer.get_memory(),
             self.task.memory,
             self.control.memory,
@@ -337,7 +336,8 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         check_fits(state, self._made_of)
         self.scene.world.set_state(state.world)
         self.scene.robot.set_state(state.robot)
-        self.scene.set_variants(state.cast)
+        for obj, variant in zip(self.scene.all_objects, state.cast, strict=True):
+            obj.variant = variant
         self._episode.set(state.narrowed, state.sampled, state.last_action)
         self._observer.set_memory(state.sensors)
         self.task.memory = state.memory

@@ -28,12 +28,7 @@ Sampled = tuple[tuple[str, float], ...]
 
 
 class Episode:
-    """The current episode. Its seed is None before the first one.
-
-    :param task: task of the environment
-    :param scene: its scene
-    :param control: its control
-    """
+    """The current episode. Its seed is None before the first one."""
 
     def __init__(self, task: Task, scene: Scene, control: Control[Any]) -> None:
         self._task, self._scene, self._control = task, scene, control
@@ -83,10 +78,7 @@ class Episode:
         return partial(measured_depths, values, self._noise()[0]) if is_noisy else None
 
     def checked(self, options: Mapping[str, Any]) -> Narrowed:
-        """Return names and values of the parameters that options of a reset narrow.
-
-        :raises ValueError: a value is not valid or not within the parameter of the environment
-        """
+        """Return valid names and values of the parameters that options of a reset narrow."""
         if not options:
             return ()
         config = self._scene.config
@@ -143,10 +135,7 @@ class Episode:
         self._scene.set_sampled(dict(sampled))
 
     def executed(self, action: ArrayLike) -> ArrayLike:
-        """Return the action that the robot executes, with the delay and the noise.
-
-        :raises ValueError: the action has the wrong shape or is not finite
-        """
+        """Return the action that the robot executes, with the delay and the noise."""
         delay, noise = (self._scene.sampled.get(f"action_{name}", 0.0) for name in ("delay", "noise"))
         if not (delay or noise):
             return action

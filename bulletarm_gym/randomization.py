@@ -21,7 +21,6 @@ def quantity(neutral: float, limits: Range, real: Range, endings: Sequence[str] 
     """Return the dataclass field of a sampled quantity.
 
     :param neutral: value without an effect, the default
-    :param limits: smallest and largest accepted value
     :param real: range in the preset ``"real"``
     :param endings: endings of the keys of its components
     """

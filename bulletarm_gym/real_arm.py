@@ -1,7 +1,8 @@
 """Observations and heights of picks and places for a real robot, from the point cloud of its cameras.
 
 Frames and units are the same as in the environments: metres in the world, z upwards from the table's top, x
-from the robot to the workspace. The environments use the same code.
+from the robot to the workspace. ``workspace`` contains the limits along x, y and z. ``size`` is the side
+length of an image in pixels. The environments use the same code.
 """
 
 from collections.abc import Sequence
@@ -10,12 +11,22 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WORKSPACES
-from bulletarm_gym.control import Grasp, open_loop
 from bulletarm_gym.control.close_loop import VIEW_SCALE, tool_frame
+from bulletarm_gym.control.open_loop import measure_grasp, pick_height, place_height, workspace_frame
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.observations import MAX_HEIGHT, ElevationMap, Frame, Heights, Window
 from bulletarm_gym.observations.images import heightmap, projections, rotated_crop
 from bulletarm_gym.observations.rasterizer import project_points
+
+__all__ = [
+    "close_loop_heightmap",
+    "elevation_map",
+    "in_hand_image",
+    "measure_grasp",
+    "open_loop_heightmap",
+    "pick_height",
+    "place_height",
+]
 
 Limits = Sequence[Sequence[float]]
 """Limits (m) of a workspace along x, y and z."""
@@ -38,8 +49,7 @@ def close_loop_heightmap(
         that are not finite or above the workspace are ignored
     :param tool_pose: pose between the fingertips; its yaw is 0 if the fingers open along x
     :param opening: distance (m) between the inner sides of the fingers
-    :param workspace: limits of the workspace; the heightmap is 1.5 times as large
-    :param size: side length (pixels)
+    :param workspace: limits (m); the heightmap is 1.5 times as large
     :return: (1, size, size) m, within [0, 0.4]; rows grow with world x, columns with y
     :raises ValueError: no point is in the square, or ``points`` has another shape
     """
@@ -53,12 +63,10 @@ def open_loop_heightmap(
     """Return the heightmap of open-loop control: heights above the workspace's floor.
 
     :param points: (n, 3) points (m, world) with the table, without the robot and the grasped object
-    :param workspace: limits of the workspace
-    :param size: side length (pixels)
     :return: (1, size, size) m, within [0, 0.4]; rows grow with world x, columns with y
     :raises ValueError: no point is in the square, or ``points`` has another shape
     """
-    return _heightmap(points, _frame(workspace), workspace[2][1], size)
+    return _heightmap(points, workspace_frame(workspace), workspace[2][1], size)
 
 
 def in_hand_image(
@@ -72,79 +80,21 @@ def in_hand_image(
 
     :param heightmap: (1, n, n), heightmap before the pick
     :param pick: pose (world) of the fingertips when they closed
-    :param workspace: limits of the workspace
-    :param size: side length (pixels)
     :param tilts: whether actions have three r's and the image three channels
     :return: (1, size, size) or (3, size, size) m, within [0, 0.4]
     """
     show = projections if tilts else rotated_crop
-    return show(_map(heightmap, workspace), _above_floor(pick, workspace), size).clip(0.0, MAX_HEIGHT)
+    above_floor = Pose((0.0, 0.0, -workspace[2][0])).compose(pick)
+    return show(elevation_map(heightmap, workspace), above_floor, size).clip(0.0, MAX_HEIGHT)
 
 
-def pick_height(
-    heightmap: Heights,
-    target: Pose,
-    depth: float,
-    area: tuple[float, float] | None = None,
-    workspace: Limits = WORKSPACES[OPEN_LOOP],
-) -> float:
-    """Return the height (m, world) of the fingertips at a pick whose action has no z.
+def elevation_map(heightmap: Heights, workspace: Limits = WORKSPACES[OPEN_LOOP]) -> ElevationMap:
+    """Return a heightmap of open-loop control, (1, n, n), as a map of the world.
 
-    :param heightmap: (1, n, n), last heightmap
-    :param target: pose (world) of the fingertips, with any z
-    :param depth: depth (m) of the fingertips below the highest point of the area,
-        ``grasp_params.pick_offset``
-    :param area: length along the opening and width (m) of the area, ``grasp_params.pick_area``; by default a
-        square of twice the depth
-    :param workspace: limits of the workspace
+    :func:`pick_height`, :func:`measure_grasp` and :func:`place_height` return heights for actions without z.
     """
-    return workspace[2][0] + open_loop.pick_height(_map(heightmap, workspace), target, depth, area)
-
-
-def measure_grasp(
-    before: Heights, after: Heights, closed_at: Pose, workspace: Limits = WORKSPACES[OPEN_LOOP]
-) -> Grasp | None:
-    """Return the measurements of a grasped object, or None if the heightmaps do not show its absence.
-
-    :param before: (1, n, n), heightmap before the pick
-    :param after: (1, n, n), heightmap after the pick, without the grasped object
-    :param closed_at: measured pose (world) of the fingertips when they closed
-    :param workspace: limits of the workspace
-    """
-    tips = _above_floor(closed_at, workspace)
-    return open_loop.measure_grasp(_map(before, workspace), _map(after, workspace), tips)
-
-
-def place_height(
-    heightmap: Heights,
-    target: Pose,
-    grasp: Grasp,
-    gap: float,
-    workspace: Limits = WORKSPACES[OPEN_LOOP],
-) -> float:
-    """Return the height (m, world) of the fingertips at a place whose action has no z.
-
-    :param heightmap: (1, n, n), last heightmap, without the grasped object
-    :param target: pose (world) of the fingertips, with any z
-    :param grasp: measurements at the pick, see :func:`measure_grasp`
-    :param gap: distance (m) of the object from the highest point below it, ``grasp_params.place_offset``
-    :param workspace: limits of the workspace
-    """
-    return workspace[2][0] + open_loop.place_height(_map(heightmap, workspace), target, grasp, gap)
-
-
-def _map(heightmap: Heights, workspace: Limits) -> ElevationMap:
-    frame = _frame(workspace)
-    return ElevationMap(heightmap[0], frame.centre, frame.extent)
-
-
-def _above_floor(pose: Pose, workspace: Limits) -> Pose:
-    return Pose((0.0, 0.0, -workspace[2][0])).compose(pose)
-
-
-def _frame(workspace: Limits) -> Frame:
-    (x0, x1), (y0, y1), (floor, _) = workspace
-    return Frame(Pose(((x0 + x1) / 2.0, (y0 + y1) / 2.0, floor)), x1 - x0)
+    frame = workspace_frame(workspace)
+    return ElevationMap(heightmap[0], frame.centre, frame.extent, frame.origin.z)
 
 
 def _heightmap(points: ArrayLike, frame: Frame, ceiling: float, size: int) -> Heights:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property, partial
+from operator import attrgetter
 from typing import Any
 
 import gymnasium
@@ -18,12 +19,8 @@ VARIABLE = "BULLETARM_GYM_REGISTERED"
 """Environment variable in which a process publishes its registrations, as JSON, for child processes."""
 
 
-def published(kind: str) -> dict[str, Any]:
-    """Return the registrations of a kind, by name, of this process and of the process that started it."""
-    return dict(_published().get(kind, {}))
-
-
-def _published() -> dict[str, dict[str, Any]]:
+def published() -> dict[str, dict[str, Any]]:
+    """Return the registrations of this process and of the process that started it, by kind and name."""
     with suppress(ValueError):  # another program may have set the variable
         if isinstance(found := json.loads(os.environ.get(VARIABLE, "{}")), dict):
             return found
@@ -31,25 +28,19 @@ def _published() -> dict[str, dict[str, Any]]:
 
 
 def _publish(kind: str, name: str, registered: Any) -> None:
-    everything = _published()
+    everything = published()
     everything.setdefault(kind, {})[name] = registered
     os.environ[VARIABLE] = json.dumps(everything)
 
 
 def load(path: str) -> Any:
-    """Import ``"module:attribute"``.
-
-    :raises ValueError: the module or the attribute does not exist
-    """
+    """Import ``"module:attribute"``."""
     module, _, name = path.partition(":")
     try:
-        found = importlib.import_module(module)
-        for part in name.split("."):
-            found = getattr(found, part)
+        return attrgetter(name)(importlib.import_module(module))
     except (ImportError, AttributeError, ValueError) as error:
         advice = ". Define it in a module that this process can import" if module == "__main__" else ""
         raise ValueError(f"{path!r} cannot be imported: {error}{advice}") from error
-    return found
 
 
 def import_path(component: Any) -> str:
@@ -93,7 +84,7 @@ class Registry:
 
     def __post_init__(self) -> None:
         """Begin with the registrations of the process that started this one."""
-        self.paths = published(self.kind)
+        self.paths = published().get(self.kind, {})
 
     @cached_property
     def builtin(self) -> Mapping[str, Any]:
@@ -127,11 +118,9 @@ class Registry:
         return self.paths.get(name, name) if isinstance(name, str) else name
 
     def find(self, source: Any, parameter: str | None = None) -> Any:
-        """Return a component.
+        """Return a component by its name or import path.
 
-        :param source: its name or import path
         :param parameter: name of the parameter in errors, by default the kind
-        :raises ParameterError: the component does not exist
         """
         if isinstance(source, str) and source in self.builtin:
             return self.builtin[source]
@@ -320,7 +309,7 @@ ENV_IDS: tuple[str, ...] = tuple(entry.env_id for entry in ENTRIES)
 
 def register_all() -> None:
     """Register the ids of the package, and the registrations of the process that started this one."""
-    for entry in (*ENTRIES, *(Entry(**recipe) for recipe in published(TASKS.kind).values())):
+    for entry in (*ENTRIES, *(Entry(**recipe) for recipe in published().get(TASKS.kind, {}).values())):
         if entry.env_id not in gymnasium.registry:
             register(entry.env_id, entry.kwargs)
 
@@ -353,10 +342,7 @@ def register_task(name: str, task: Any, control: str = "close_loop", surface: st
 
 
 def register(env_id: str, recipe: Mapping[str, Any]) -> None:
-    """Register an id with Gymnasium.
-
-    :param recipe: task, control, surface and defaults, as arguments of the constructor
-    """
+    """Register an id with Gymnasium, with arguments of the constructor."""
     wrappers = (time_limit_spec(None),)
     gymnasium.register(env_id, entry_point=ENTRY_POINT, kwargs=dict(recipe), additional_wrappers=wrappers)
 

@@ -69,7 +69,7 @@ def _make_task(env_id: str | EnvSpec, kwargs: Mapping[str, Any], common: Mapping
     return CommonSpaces(gymnasium.make(env_id, **kwargs), **common)
 
 
-class CommonSpaces(gymnasium.Wrapper[Observation, Any, Observation, Any], RecordConstructorArgs):
+class CommonSpaces(gymnasium.ObservationWrapper[Observation, Any, Observation], RecordConstructorArgs):
     """Give the environment of one task the spaces of several tasks.
 
     Observations that the environment lacks are zeros, and vectors are padded with zeros. Numbers of an action
@@ -91,7 +91,7 @@ class CommonSpaces(gymnasium.Wrapper[Observation, Any, Observation, Any], Record
         RecordConstructorArgs.__init__(
             self, observation_space=observation_space, action_sequence=action_sequence, task=task
         )
-        gymnasium.Wrapper.__init__(self, env)
+        gymnasium.ObservationWrapper.__init__(self, env)
         space: Any = observation_space
         self.observation_space = deepcopy(space)
         self.action_sequence = action_sequence
@@ -100,14 +100,7 @@ class CommonSpaces(gymnasium.Wrapper[Observation, Any, Observation, Any], Record
         self._task_id = np.zeros(observation_space[TASK_ID].shape or (), np.float32)
         self._task_id[task] = 1.0
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observation, dict[str, Any]]:
-        """Begin an episode."""
-        observation, info = self.env.reset(seed=seed, options=options)
-        return self.observation(observation), info
-
-    def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def step(self, action: ArrayLike) -> tuple[Observation, Any, bool, bool, dict[str, Any]]:
         """Carry out an action of all tasks.
 
         :raises ValueError: the action has the wrong shape
@@ -115,8 +108,7 @@ class CommonSpaces(gymnasium.Wrapper[Observation, Any, Observation, Any], Record
         action = np.asarray(action)
         if action.shape != self.action_space.shape:
             raise ValueError(f"action must have the shape {self.action_space.shape}, got {action.shape}")
-        observation, reward, *ends, info = self.env.step(action[self._places])
-        return self.observation(observation), float(reward), *ends, info  # type: ignore[return-value]
+        return super().step(action[self._places])
 
     def observation(self, observation: Observation) -> Observation:
         """Return an observation of the environment as one of all tasks."""
@@ -147,10 +139,7 @@ def _common_sequence(sequences: Sequence[str]) -> str:
 
 
 def _common_observation_space(observations: Sequence[spaces.Dict]) -> spaces.Dict:
-    """Return the space of the observations of all tasks and ``task_id``.
-
-    :raises ValueError: two observations of one name cannot have a common space
-    """
+    """Return the space of the observations of all tasks and ``task_id``."""
     names = dict.fromkeys(name for space in observations for name in space)
     if TASK_ID in names:
         raise ValueError(f"observation must have sensors with other names than {TASK_ID!r}")
@@ -159,10 +148,7 @@ def _common_observation_space(observations: Sequence[spaces.Dict]) -> spaces.Dic
 
 
 def _common_box(name: str, boxes: Sequence[Any]) -> spaces.Box:
-    """Return the common space of an observation. A box is None if a task lacks the observation.
-
-    :raises ValueError: the types differ, or the shapes of images differ
-    """
+    """Return the common space of an observation. A box is None if a task lacks the observation."""
     kinds = {(box.shape, box.dtype.name) for box in boxes if box is not None}
     lengths, types = {len(shape) for shape, _ in kinds}, {dtype for _, dtype in kinds}
     if len(types) > 1 or (len(kinds) > 1 and lengths != {1}):

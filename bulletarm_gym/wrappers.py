@@ -1,7 +1,7 @@
 """Wrappers that adapt environments to other libraries."""
 
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -139,7 +139,7 @@ class InstructionInfo(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorAr
         return observation, {**info, "instruction": sentences[int(self._rng.integers(len(sentences)))]}
 
 
-class GoalObservation(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
+class GoalObservation(gymnasium.ObservationWrapper[Any, Any, Any], RecordConstructorArgs):
     """Goal-conditioned environment with the interface of Gymnasium-Robotics' ``GoalEnv``.
 
     Observations are a ``Dict`` of ``observation``, ``achieved_goal`` and ``desired_goal``, one vector each.
@@ -166,19 +166,14 @@ class GoalObservation(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorAr
         observation = spaces.flatten_space(self._inner)
         self.observation_space = spaces.Dict(observation=observation, achieved_goal=goal, desired_goal=goal)
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        """Begin an episode, see :meth:`~bulletarm_gym.env.ManipulationEnv.reset`."""
-        observation, info = self.env.reset(seed=seed, options=options)
-        return self._observed(observation), info
-
     def step(self, action: Any) -> tuple[dict[str, NDArray[Any]], float, bool, bool, dict[str, Any]]:
         """Carry out an action; the reward is that of :meth:`compute_reward`."""
         observation, _, terminated, truncated, info = self.env.step(action)
         if terminated and info["is_success"]:
-            terminated, truncated = False, not self._continue()
-        found = self._observed(observation)
+            episode = self._core._episode
+            truncated = episode.steps >= self._core.config.max_steps
+            terminated, episode.ended = False, truncated
+        found = self.observation(observation)
         reward = self.compute_reward(found["achieved_goal"], found["desired_goal"], info)
         return found, float(reward), terminated, truncated, info
 
@@ -200,18 +195,11 @@ class GoalObservation(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorAr
         """Return False: goals do not truncate an episode, only its number of steps does."""
         return False
 
-    def _observed(self, observation: Any) -> dict[str, NDArray[Any]]:
+    def observation(self, observation: Any) -> dict[str, NDArray[Any]]:
+        """Return an observation of the environment with both goals."""
         achieved, desired = self._core.task.goals(self._core.scene)
         flat = spaces.flatten(self._inner, observation)
         return {"observation": flat, "achieved_goal": achieved, "desired_goal": desired}
-
-    def _continue(self) -> bool:
-        """Continue the episode after its end; return False at the limit of steps."""
-        state = self._core.get_state()
-        if state.steps >= self._core.config.max_steps:
-            return False
-        self._core.set_state(replace(state, ended=False))
-        return True
 
 
 def own_time_limit(env: gymnasium.Env[Any, Any], known: int | None) -> gymnasium.Env[Any, Any]:
@@ -264,7 +252,7 @@ class ResetOptions(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs)
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Begin an episode with the options of this wrapper and passed ones; a state replaces all others."""
-        given = options or {}
+        given = {} if options is None else options
         if isinstance(given, Mapping) and "state" not in given:
             given = {**self._options, **given}
         return self.env.reset(seed=seed, options=given)
@@ -274,32 +262,25 @@ Wrapper = gymnasium.Wrapper[Any, Any, Any, Any]
 Inverse = Callable[[Any], Any]
 
 
-def querying_wrappers(env: gymnasium.Env[Any, Any]) -> list[Wrapper]:
-    """Return the wrappers whose ``get_wrapper_attr()`` called that of an environment, the innermost first.
+def wrapped_expert(env: gymnasium.Env[Any, Any], expert: Callable[[], Any]) -> Callable[[], Any]:
+    """Return an expert with actions in the action space of the outermost wrapper that queried it.
 
     An environment of Gymnasium has no reference to its wrappers, so they are read from the call stack.
+
+    :param env: environment whose ``get_wrapper_attr()`` calls this function
+    :raises ValueError: a wrapper changes actions in a way that cannot be inverted
     """
-    wrappers: list[Wrapper] = []
+    inverses: list[Inverse] = []
     inner: Any = env
     frame = sys._getframe(1)
     while frame is not None:
         caller = frame.f_locals.get("self")
         if isinstance(caller, gymnasium.Wrapper) and caller.env is inner:
-            wrappers.append(caller)
+            inverses += _inverses(caller)
             inner = caller
         elif caller is not inner:
             break
         frame = frame.f_back  # type: ignore[assignment]
-    return wrappers
-
-
-def wrapped_expert(expert: Callable[[], Any], wrappers: Sequence[Wrapper]) -> Callable[[], Any]:
-    """Return an expert with actions in the action space of the outermost wrapper.
-
-    :param wrappers: wrappers, the innermost first
-    :raises ValueError: a wrapper changes actions in a way that cannot be inverted
-    """
-    inverses = [inverse for wrapper in wrappers if (inverse := _inverse(wrapper)) is not None]
 
     def act() -> Any:
         action = expert()
@@ -310,18 +291,19 @@ def wrapped_expert(expert: Callable[[], Any], wrappers: Sequence[Wrapper]) -> Ca
     return act if inverses else expert
 
 
-def _inverse(wrapper: Wrapper) -> Inverse | None:
+def _inverses(wrapper: Wrapper) -> list[Inverse]:
+    """Return the inverse of a wrapper's change of actions; an empty list if it changes none."""
     own: Inverse | None = getattr(wrapper, "revert_action", None)
     if own is not None and not isinstance(wrapper, DiscretizeAction):  # which returns the nearest bin
-        return own
+        return [own]
     if isinstance(wrapper, RescaleAction):
         outer: Any = wrapper.action_space
         inner: Any = wrapper.env.action_space
         _, forward, _ = rescale_box(inner, outer.low, outer.high)
-        return lambda action: forward(action).clip(outer.low, outer.high)
+        return [lambda action: forward(action).clip(outer.low, outer.high)]
     same_space = wrapper.action_space == wrapper.env.action_space
     if isinstance(wrapper, ClipAction) or (same_space and not isinstance(wrapper, gymnasium.ActionWrapper)):
-        return None
+        return []
     raise ValueError(
         "expert_action must be queried below wrappers whose change of actions has no known inverse, got "
         f"{type(wrapper).__name__}. Define revert_action(action) in the wrapper, or use env.unwrapped."

@@ -3,6 +3,7 @@
 import importlib
 import inspect
 import math
+import pkgutil
 import re
 import shlex
 import sys
@@ -130,3 +131,13 @@ def test_snippets_run(page, tmp_path, monkeypatch):
     for name in set(sys.modules) - known:
         if name.startswith("my_"):
             del sys.modules[name]
+
+
+@pytest.mark.parametrize("package", ["control", "surfaces", "tasks"])
+def test_methods_of_components_have_or_inherit_a_docstring(package):
+    found = importlib.import_module(f"bulletarm_gym.{package}")
+    for module in pkgutil.iter_modules(found.__path__, f"{found.__name__}."):
+        for _, kind in inspect.getmembers(importlib.import_module(module.name), inspect.isclass):
+            methods = [] if kind.__module__ != module.name else inspect.getmembers(kind)
+            named = [(name, each) for name, each in methods if inspect.isroutine(each) and name[0] != "_"]
+            assert not [name for name, each in named if not inspect.getdoc(each)], kind

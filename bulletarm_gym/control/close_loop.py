@@ -42,10 +42,6 @@ class CloseLoop(Control[DeltaMove]):
 
     The characters of ``action_sequence`` are p, the opening (-1 closed, +1 open), x, y and z, the translation
     along the world's axes, and r, the rotation. Without r the gripper does not rotate.
-
-    :param config: the environment's parameters
-    :param robot: the robot that executes the moves
-    :param grasp_params: grasp parameters of the task, not used
     """
 
     kind = CLOSE_LOOP
@@ -63,16 +59,11 @@ class CloseLoop(Control[DeltaMove]):
         self.ranges = {name: (-limit, limit) for name, limit in limits.items() if name in self.sequence}
 
     def decode_action(self, action: ArrayLike, view: View) -> DeltaMove:
-        """Return the move of an action; numbers outside [-1, 1] are clipped.
-
-        :raises ValueError: the action has the wrong shape or is not finite
-        """
         value = dict(zip(self.sequence, self.numbers(action), strict=True))
         x, y, z = (self.max_translation * value[axis] for axis in "xyz")
         return DeltaMove((value["p"] + 1.0) / 2.0, (x, y, z), self.max_rotation * value.get("r", 0.0))
 
     def encode_action(self, move: DeltaMove) -> NDArray[np.float32]:
-        """Return the action of a move, clipped to [-1, 1]; the inverse of :meth:`decode_action`."""
         value = dict(zip("xyz", (part / self.max_translation for part in move.translation), strict=True))
         value |= {"p": 2.0 * move.opening - 1.0, "r": move.rotation / self.max_rotation}
         return np.array([value[axis] for axis in self.sequence], dtype=np.float32).clip(-1.0, 1.0)

@@ -3,7 +3,7 @@
 import itertools
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, ClassVar, Generic, TypeVar
@@ -22,7 +22,8 @@ from bulletarm_gym.robots.robot import LEVEL_TILT
 class RobotInterface:
     """Commands and measurements of a robot, without the poses of objects.
 
-    Poses are of the fingertips in the world (m).
+    Poses are of the fingertips in the world (m). The commands are methods of
+    :class:`~bulletarm_gym.robots.robot.Robot`.
 
     :param robot: the simulated robot
     :param settle: function that simulates until loose objects are at rest
@@ -30,17 +31,19 @@ class RobotInterface:
 
     def __init__(self, robot: Robot, settle: Callable[[], None]) -> None:
         self._robot = robot
-        self._settle = settle
+        self.stroke = robot.model.gripper.stroke
+        """Largest distance (m) between the fingers."""
+        self.reset = robot.home
+        """Set the empty, open gripper to a pose without moving through the space between."""
+        self.move_to, self.transfer, self.move_joints = robot.move_to, robot.transfer, robot.move_joints
+        self.set_opening, self.is_apart = robot.set_opening, robot.is_apart
+        self.reaches, self.can_move_to = robot.reaches, robot.can_move_to
+        self.wait_until_still = settle
 
     @property
     def pose(self) -> Pose:
         """Measured pose of the fingertips."""
         return self._robot.pose
-
-    @property
-    def stroke(self) -> float:
-        """Largest distance (m) between the fingers."""
-        return self._robot.model.gripper.stroke
 
     @property
     def opening(self) -> float:
@@ -56,57 +59,6 @@ class RobotInterface:
     def joint_positions(self) -> tuple[float, ...]:
         """Measured positions (rad) of the arm joints."""
         return self._robot.joint_positions
-
-    def move_joints(self, positions: Sequence[float], in_contact: bool = True) -> None:
-        """Move the arm joints to positions (rad). A blocked arm stops.
-
-        :param in_contact: move slowly, because the robot may push an object
-        :raises ValueError: the number of positions is wrong, or one is outside its limits
-        """
-        self._robot.move_joints(positions, in_contact)
-
-    def reaches(self, pose: Pose) -> bool:
-        """Return True if the inverse kinematics has a solution for a pose."""
-        return self._robot.reaches(pose)
-
-    def can_move_to(self, pose: Pose) -> bool:
-        """Return True if one motion leads to a pose: in reach, no joint limit in between, almost straight."""
-        return self._robot.can_move_to(pose)
-
-    def reset(self, pose: Pose) -> None:
-        """Set the empty, open gripper to a pose without moving through the space between.
-
-        :raises OutOfReachError: the pose is out of reach
-        """
-        self._robot.home(pose)
-
-    def move_to(self, pose: Pose, in_contact: bool = True, slides: bool = False) -> None:
-        """Move to a pose; a blocked arm stops early.
-
-        :param in_contact: move slowly where the gripper may push an object
-        :param slides: whether a blocked arm makes the part of the motion that leads along the contact
-        :raises OutOfReachError: the pose is out of reach
-        """
-        self._robot.move_to(pose, in_contact, slides)
-
-    def transfer(self, *poses: Pose) -> None:
-        """Move, above everything in between, to the first pose that touches nothing, or to the last pose.
-
-        :raises OutOfReachError: a pose is out of reach
-        """
-        self._robot.transfer(*poses)
-
-    def set_opening(self, ratio: float) -> None:
-        """Move the fingers to an opening ratio, 0 closed to 1 open; an object between them stops them."""
-        self._robot.set_opening(ratio)
-
-    def is_apart(self) -> bool:
-        """Return True if the arm and the grasped object touch nothing else."""
-        return self._robot.is_apart()
-
-    def wait_until_still(self) -> None:
-        """Wait until loose objects are at rest."""
-        self._settle()
 
 
 POINTS = 5

@@ -46,7 +46,7 @@ class Grasp(NamedTuple):
 def pick_height(
     heights: ElevationMap, target: Pose, depth: float, area: tuple[float, float] | None = None
 ) -> float:
-    """Return the height (m) of the fingertips at a pick.
+    """Return the height (m, world) of the fingertips at a pick whose action has no z.
 
     :param heights: last heightmap
     :param target: pose of the fingertips; its z and tilt do not matter
@@ -54,7 +54,7 @@ def pick_height(
     :param area: length along the opening and width (m) of the area; by default a square of twice the depth
     """
     between = Rectangle(target.x, target.y, *(area or (2.0 * depth, 2.0 * depth)), target.yaw)
-    return max(_highest(heights, between) - depth, MIN_PICK_HEIGHT)
+    return heights.floor + max(_highest(heights, between) - depth, MIN_PICK_HEIGHT)
 
 
 def measure_grasp(before: ElevationMap, after: ElevationMap, closed_at: Pose) -> Grasp | None:
@@ -65,7 +65,7 @@ def measure_grasp(before: ElevationMap, after: ElevationMap, closed_at: Pose) ->
 
     :param before: heightmap before the pick
     :param after: heightmap after the pick, without the grasped object
-    :param closed_at: pose of the fingertips when they closed, its z above the zero of the heightmaps
+    :param closed_at: measured pose of the fingertips when they closed
     """
     removed = before.heights - after.heights > REMOVED
     if not removed.any():
@@ -80,12 +80,12 @@ def measure_grasp(before: ElevationMap, after: ElevationMap, closed_at: Pose) ->
     points = before.points(np.argwhere(footprint)) - closed_at.position[:2]
     points = points @ matrix(Pose.planar(0.0, 0.0, 0.0, closed_at.yaw))[:2, :2]
     (x0, y0), (x1, y1) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
-    height = closed_at.z - float(after.heights[footprint].max())
+    height = closed_at.z - after.floor - float(after.heights[footprint].max())
     return Grasp(height, (x0 + x1) / 2.0, (y0 + y1) / 2.0, x1 - x0, y1 - y0)
 
 
 def place_height(heights: ElevationMap, target: Pose, grasp: Grasp, gap: float) -> float:
-    """Return the height (m) of the fingertips at a place.
+    """Return the height (m, world) of the fingertips at a place whose action has no z.
 
     :param heights: last heightmap, without the grasped object
     :param target: pose of the fingertips; its z and tilt do not matter
@@ -94,7 +94,7 @@ def place_height(heights: ElevationMap, target: Pose, grasp: Grasp, gap: float) 
     """
     x, y, _ = Pose.planar(target.x, target.y, 0.0, target.yaw).transform((grasp.x, grasp.y, 0.0))
     footprint = Rectangle(x, y, grasp.length, grasp.width, target.yaw)
-    return _highest(heights, footprint) + grasp.height + gap
+    return heights.floor + (_highest(heights, footprint) + grasp.height + gap)
 
 
 def _highest(heights: ElevationMap, area: Rectangle) -> float:
@@ -172,10 +172,6 @@ class OpenLoop(Control[PickPlace]):
     target's position in the workspace, z, its height above the floor, and the r's, theta, phi and psi.
     Without p the gripper picks if it is empty and places if it holds an object. Without z the height follows
     from heightmaps. Without r the gripper does not rotate.
-
-    :param config: the environment's parameters
-    :param robot: the robot that executes the moves
-    :param grasp_params: grasp parameters of the task
     """
 
     kind = OPEN_LOOP
@@ -183,23 +179,18 @@ class OpenLoop(Control[PickPlace]):
     def __init__(self, config: EnvConfig, robot: RobotInterface, grasp_params: GraspParams) -> None:
         self._config = config
         self._grasp_params = grasp_params
-        x, y, (self._floor, _) = config.workspace
+        x, y, (floor, _) = config.workspace
         angles = iter(ANGLES)
         self._names = [next(angles) if name == "r" else name for name in config.action_sequence]
-        ranges = {"x": (x[0], x[1]), "y": (y[0], y[1]), "z": (self._floor, self._floor + MAX_Z)}
+        ranges = {"x": (x[0], x[1]), "y": (y[0], y[1]), "z": (floor, floor + MAX_Z)}
         ranges |= {"theta": (0.0 if config.half_rotation else -math.pi, math.pi)}
         ranges |= dict.fromkeys(("phi", "psi"), (-MAX_TILT, MAX_TILT))
         self.ranges = {name: limits for name, limits in ranges.items() if name in self._names}
-        super().__init__(config, robot, _poses(config, self._floor))
+        super().__init__(config, robot, _poses(config, floor))
 
     # Actions
 
     def decode_action(self, action: ArrayLike, view: View) -> PickPlace:
-        """Return the pick or place of an action; numbers outside [-1, 1] are clipped.
-
-        :param view: last view of the scene, for the height of an action without z
-        :raises ValueError: the action has the wrong shape or is not finite
-        """
         value = dict(zip(self._names, self.numbers(action), strict=True))
         at = {
             name: low + (value[name] + 1.0) / 2.0 * (high - low) for name, (low, high) in self.ranges.items()
@@ -236,16 +227,15 @@ class OpenLoop(Control[PickPlace]):
         if places and view.is_holding:
             # A task may start with a grasped object: without measurements it counts as a cube.
             grasp = Grasp(*(self.memory or (depth, 0.0, 0.0, 2.0 * depth, 2.0 * depth)))
-            return self._floor + place_height(view.elevation_map, target, grasp, params.place_offset)
-        return self._floor + pick_height(view.elevation_map, target, depth, params.pick_area)
+            return place_height(view.elevation_map, target, grasp, params.place_offset)
+        return pick_height(view.elevation_map, target, depth, params.pick_area)
 
     def follow(self, before: View, after: View, outcome: Outcome) -> None:
         """Remember the measurements of the grasped object until the gripper is empty."""
         if not self.robot.is_holding:
             self.memory = None
         elif outcome.closed_at is not None and "z" not in self.ranges:
-            closed_at = Pose((0.0, 0.0, -self._floor)).compose(outcome.closed_at)
-            grasp = measure_grasp(before.elevation_map, after.elevation_map, closed_at)
+            grasp = measure_grasp(before.elevation_map, after.elevation_map, outcome.closed_at)
             self.memory = None if grasp is None else tuple(grasp)
 
     # Motion
@@ -310,9 +300,13 @@ class OpenLoop(Control[PickPlace]):
         self.robot.set_opening(min(width / self.robot.stroke, 1.0))
 
     def frame(self) -> Frame:
-        """Return the workspace, from its floor up, without the arm and the grasped object."""
-        origin = Pose((*self._config.centre, self._floor))
-        return Frame(origin, self._config.workspace_size, hides_grasped=True)
+        return workspace_frame(self._config.workspace)
+
+
+def workspace_frame(workspace: Sequence[Sequence[float]]) -> Frame:
+    """Return a workspace as a frame, from its floor up, without the arm and the grasped object."""
+    (x0, x1), (y0, y1), (floor, _) = workspace
+    return Frame(Pose(((x0 + x1) / 2.0, (y0 + y1) / 2.0, floor)), x1 - x0, hides_grasped=True)
 
 
 def _poses(config: EnvConfig, floor: float) -> Iterator[Pose]:

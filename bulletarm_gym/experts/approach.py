@@ -1,7 +1,7 @@
 """Waypoints of grasps from above and of releases under closed-loop control, shared by the tasks' experts."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -260,7 +260,6 @@ class Tracker:
 
     def __init__(self, control: Control[Any], scene: Scene, opening: float | None) -> None:
         self._control = control
-        self._towards: Callable[[Waypoint], Any] | None = getattr(control, "towards", None)
         self._scene = scene
         if control.kind == CLOSE_LOOP:
             _, scene.max_translation = control.ranges.get("x", (0.0, MAX_TRANSLATION))
@@ -291,8 +290,8 @@ class Tracker:
     def towards(self, waypoint: Waypoint) -> Any:
         """Return the move that brings the gripper closest to a waypoint."""
         control = self._control
-        if self._towards is not None:
-            return self._towards(waypoint)
+        if (towards := getattr(control, "towards", None)) is not None:
+            return towards(waypoint)
         if isinstance(control, OpenLoop):
             return self._pick_place(control, waypoint)
         if isinstance(control, CloseLoop):

@@ -97,7 +97,7 @@ class Builder:
         """The largest part of the structure that can be extended."""
         base = self._blueprint.layers[0]
         complete = self._candidates(len(base))
-        best = max(complete, key=lambda placed: (len(placed), self._is_free(placed)), default=None)
+        best = max(complete, key=lambda placed: (len(placed), self._misplaced(placed) is None), default=None)
         for width in range(len(base) - 1, 0, -1):
             best = best or self._extendable(list(self._candidates(width)), base[width])
         return best or {}
@@ -118,9 +118,6 @@ class Builder:
             and abs(angle) < predicates.IN_LINE
             and self._supports(footprint(first), footprint(block))
         )
-
-    def _is_free(self, placed: Placed) -> bool:
-        return self._misplaced(placed) is None
 
     def _misplaced(self, placed: Placed) -> SceneObject | None:
         """Return a block that lies on the placed blocks and does not belong there."""
@@ -169,7 +166,7 @@ class Builder:
     def _open_position(self) -> Position | None:
         """Position at which the grasped block can be placed now."""
         assert self._held is not None
-        if not self._is_free(self.placed):
+        if self._misplaced(self.placed) is not None:
             return None
         for position in self._blueprint.positions:
             supported = all(below in self.placed for below in position.below)
@@ -226,7 +223,7 @@ class Builder:
         """Yield the free distance (m) and the frame of places next to the last block of a base."""
         base = list(placed.values())[: position.place]
         block = self._spare(position, placed)[0]
-        if not self._is_free(placed):
+        if self._misplaced(placed) is not None:
             return
         others = [footprint(other) for other in self._loose(placed) if other is not block]
         first, last = footprint(base[0]), footprint(base[-1])
@@ -269,14 +266,10 @@ class Builder:
         return False
 
     def _supports(self, first: Footprint, last: Footprint) -> bool:
-        """Return True if the block above a base does not touch the surface next to it.
-
-        :param first: footprint of the first block of the base
-        :param last: footprint of the last block of the base
-        """
+        """Return True if the block above the first and last block of a base clears the surface."""
         surface, side = self._scene.surface, self._blueprint.side
         length = self._blueprint.length_above(self._blueprint.layers[0][-1], self._blocks)
-        (x0, y0), (x1, y1) = first.mean, last.mean
+        (x0, y0), (x1, y1) = (one.points.mean(axis=0).tolist() for one in (first, last))
         yaw = math.atan2(y1 - y0, x1 - x0) - math.pi / 2.0
         over = Footprint.rectangle((side, length), Pose.planar((x0 + x1) / 2.0, (y0 + y1) / 2.0, 0.0, yaw))
         return float(surface.heights(over.points).max()) < surface.level + 0.8 * side

@@ -138,7 +138,6 @@ def _gather(heights: Image, owner: IntArray, frame: GripFrame, between: Image, w
     """Write heights (m) and owners between the open fingers, outside the map 0 and -1.
 
     :param between: (lines, columns), across and along the opening
-    :param whose: of the same shape
     """
     lines, reach = between.shape[0] // 2, between.shape[1] // 2
     margin, far = lines + reach + 1, min(heights.shape) - 1

@@ -103,9 +103,7 @@ def _grip_cost(low: FloatArray, high: FloatArray, y: float, pad: float) -> tuple
 
     The cost is the misalignment of the touched sides plus half the distance from the object's centre.
 
-    :param low: smallest x and y of each piece, (n, 2) m
-    :param high: largest x and y of each piece, (n, 2) m
-    :param pad: width (m) of the fingers' pads
+    :param low: smallest x and y of each piece, (n, 2) m; ``high``: the largest ones
     """
     start, stop = np.maximum(low[:, 1], y - pad / 2.0), np.minimum(high[:, 1], y + pad / 2.0)
     between = stop > start

@@ -3,7 +3,6 @@
 from bulletarm_gym.geometry.footprint import Footprint, PlacementError
 from bulletarm_gym.geometry.meshes import Mesh, join, mass_properties
 from bulletarm_gym.geometry.poses import (
-    IDENTITY,
     FloatArray,
     IntArray,
     Pose,
@@ -26,7 +25,6 @@ from bulletarm_gym.geometry.poses import (
 )
 
 __all__ = [
-    "IDENTITY",
     "FloatArray",
     "Footprint",
     "IntArray",

@@ -50,18 +50,15 @@ class Footprint:
         return ((x0 + x1) / 2.0, (y0 + y1) / 2.0)
 
     @cached_property
-    def mean(self) -> tuple[float, float]:
-        """Mean x and y (m) of the points."""
-        return _mean(self.points)
-
-    @cached_property
     def extent(self) -> tuple[float, float, float, float]:
         """Minimum and maximum x, minimum and maximum y (m)."""
         return _extent(self.points)
 
     def grown(self, margin: float) -> "Footprint":
         """Return the footprint with its points moved outwards by ``margin`` (m); it may be negative."""
-        return Footprint(_grown(self.points, margin))
+        offsets = self.points - self.points.mean(axis=0)
+        lengths = np.sqrt((offsets**2).sum(axis=1, keepdims=True))
+        return Footprint(self.points + offsets / np.maximum(lengths, 1e-9) * margin)
 
     @cached_property
     def reach(self) -> FloatArray:
@@ -106,29 +103,8 @@ def _shadow(vertices: FloatArray, x: float, y: float, orientation: Quaternion) -
 
 
 @compiled
-def _mean(points: FloatArray) -> tuple[float, float]:
-    x, y = points[0, 0], points[0, 1]
-    for row in range(1, len(points)):
-        x += points[row, 0]
-        y += points[row, 1]
-    return x / len(points), y / len(points)
-
-
-@compiled
 def _extent(points: FloatArray) -> tuple[float, float, float, float]:
     return points[:, 0].min(), points[:, 0].max(), points[:, 1].min(), points[:, 1].max()
-
-
-@compiled
-def _grown(points: FloatArray, margin: float) -> FloatArray:
-    x, y = _mean(points)
-    grown = np.empty_like(points)
-    for row in range(len(points)):
-        dx, dy = points[row, 0] - x, points[row, 1] - y
-        length = max(np.sqrt(dx * dx + dy * dy), 1e-9)
-        grown[row, 0] = points[row, 0] + dx / length * margin
-        grown[row, 1] = points[row, 1] + dy / length * margin
-    return grown
 
 
 @compiled

@@ -44,11 +44,13 @@ class ElevationMap:
     :param heights: (n, n) m; rows grow with world x, columns with y
     :param centre: world x and y (m) of the square's centre
     :param extent: side of the square (m)
+    :param floor: world z (m) from which the heights are measured
     """
 
     heights: Heights
     centre: tuple[float, float]
     extent: float
+    floor: float = 0.0
 
     @property
     def window(self) -> Window:
@@ -269,7 +271,7 @@ class View:
     def elevation_map(self) -> ElevationMap:
         """Heights (m) above the frame's origin, within [0, 0.4], without overlays; read-only."""
         heights = (self.heights - np.float32(self.frame.origin.z)).clip(0.0, MAX_HEIGHT)
-        return ElevationMap(heights, self.frame.centre, self.frame.extent)
+        return ElevationMap(heights, self.frame.centre, self.frame.extent, self.frame.origin.z)
 
 
 def measure(scene: Scene) -> dict[str, float]:

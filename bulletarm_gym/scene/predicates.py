@@ -3,8 +3,9 @@
 import math
 from collections.abc import Iterable, Sequence
 
-from bulletarm_gym.geometry import FloatArray, Footprint, matrix, planar_distance, wrap_angle
+from bulletarm_gym.geometry import FloatArray, matrix, planar_distance, wrap_angle
 from bulletarm_gym.scene import Scene, SceneObject, cached_by_pose
+from bulletarm_gym.scene.sampling import footprint
 from bulletarm_gym.surfaces.surface import Point
 
 TOUCHING = 2e-3
@@ -61,12 +62,7 @@ def on_surface(scene: Scene, obj: SceneObject) -> bool:
 def on_site(scene: Scene, obj: SceneObject) -> bool:
     """Return True if an object stands on the level part of the surface where structures are built."""
     level = abs(obj.lowest - scene.surface.level) <= TOUCHING
-    return level and scene.surface.fits_site(_inner_footprint(obj))
-
-
-@cached_by_pose
-def _inner_footprint(obj: SceneObject) -> Footprint:
-    return Footprint.of(obj.spec.mesh.vertices, obj.pose).grown(-TOUCHING)
+    return level and scene.surface.fits_site(footprint(obj).grown(-TOUCHING))
 
 
 def rests_on(scene: Scene, bottom: SceneObject, top: SceneObject) -> bool:

@@ -9,14 +9,12 @@ import numpy as np
 
 from bulletarm_gym.geometry import Footprint, PlacementError, Pose
 from bulletarm_gym.scene import Scene, SceneObject, cached_by_pose
-from bulletarm_gym.surfaces.surface import Point
+from bulletarm_gym.surfaces.surface import ATTEMPTS, Point
 
 T = TypeVar("T")
 
 GRASP_AREA = (0.21, 0.07)
 """Length and width (m) of the area around a block that tasks keep free for any gripper."""
-ATTEMPTS = 200
-"""Number of samples for one object before the whole arrangement is sampled again."""
 ARRANGEMENTS = 50
 """Number of arrangements before the workspace counts as too small."""
 GRID = 7
@@ -112,30 +110,29 @@ def place_apart(
     def sample(poses: list[Pose]) -> Pose:
         placed = zip(largest_first, poses, strict=False)
         covered = [*others, *(footprint(obj, pose) for obj, pose in placed)]
-        return _free_pose(scene, rng, largest_first[len(poses)], gap, covered, allows)
+        return free_pose(scene, rng, largest_first[len(poses)], gap, covered, allows)
 
     for obj, pose in zip(largest_first, _sample_all(scene, len(objects), gap, sample), strict=True):
         obj.place(pose)
 
 
-def free_pose(scene: Scene, rng: np.random.Generator, obj: SceneObject, gap: float) -> Pose:
-    """Sample a pose of an object on the surface away from all others.
-
-    :param gap: smallest distance (m) between footprints
-    :raises PlacementError: no sample fits
-    """
-    return _free_pose(scene, rng, obj, gap, footprints(scene, without=[obj]), lambda pose: True)
-
-
-def _free_pose(
+def free_pose(
     scene: Scene,
     rng: np.random.Generator,
     obj: SceneObject,
     gap: float,
-    covered: Sequence[Footprint],
-    allows: Callable[[Pose], bool],
+    covered: Sequence[Footprint] | None = None,
+    allows: Callable[[Pose], bool] = lambda pose: True,
 ) -> Pose:
+    """Sample a pose of an object on the surface.
+
+    :param gap: smallest distance (m) between footprints
+    :param covered: footprints to avoid, by default those of all other objects
+    :param allows: returns False for poses that are excluded
+    :raises PlacementError: no sample fits
+    """
     (x0, x1), (y0, y1), _ = scene.config.workspace
+    others = footprints(scene, without=[obj]) if covered is None else covered
 
     def draw() -> Pose:
         point = (float(rng.uniform(x0, x1)), float(rng.uniform(y0, y1)))
@@ -144,7 +141,7 @@ def _free_pose(
     def fits(pose: Pose) -> bool:
         base = footprint(obj, pose)
         inside = scene.surface.fits(base, scene.surface.slide)
-        return inside and all(base.gap(other) >= gap for other in covered) and allows(pose)
+        return inside and all(base.gap(other) >= gap for other in others) and allows(pose)
 
     return sample_until(draw, fits)
 

@@ -94,7 +94,7 @@ def cached_by_pose(compute: Callable[["SceneObject"], T]) -> Callable[["SceneObj
     """Return a function of an object's shape and pose alone that is computed once for each pose."""
 
     @wraps(compute)
-    def cached(obj: SceneObject) -> T:
+    def cached(obj: "SceneObject") -> T:
         return obj.cached(compute, (obj.variant, obj.pose))
 
     return cached
@@ -141,9 +141,10 @@ class SceneObject:
         return self._world.poses[self.body.index]
 
     @property
+    @cached_by_pose
     def lowest(self) -> float:
         """Height (m) of the body's lowest point."""
-        return _lowest(self)
+        return self.pose.z + float((self.spec.mesh.vertices @ matrix(self.pose)[2]).min())
 
     @property
     def bounds(self) -> FloatArray:
@@ -200,12 +201,6 @@ class SceneObject:
         for body in self.bodies:
             if self._world.active[body.index]:
                 self._world.park(body)
-
-
-@cached_by_pose
-def _lowest(obj: SceneObject) -> float:
-    heights = obj.spec.mesh.vertices @ matrix(obj.pose)[2]
-    return obj.pose.z + float(heights.min())
 
 
 class Scene:
@@ -344,12 +339,3 @@ class Scene:
             settle(world, loose, SETTLE_LIMIT)
         world.unsettled.clear()
         robot.resolve_penetration()
-
-    def get_variants(self) -> tuple[int, ...]:
-        """Return the present variant of each slot, an index in its choices."""
-        return tuple(obj.variant for obj in self._objects.values())
-
-    def set_variants(self, variants: Sequence[int]) -> None:
-        """Set the present variant of each slot; the poses of bodies do not change."""
-        for obj, variant in zip(self._objects.values(), variants, strict=True):
-            obj.variant = variant

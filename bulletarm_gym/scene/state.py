@@ -56,10 +56,9 @@ class EnvState:
 
 
 def check_fits(state: Any, made_of: dict[str, Any]) -> None:
-    """Check that a state belongs to an environment of the same task, robot and objects.
+    """Raise a ValueError if a state is not of an environment with the same task, robot and objects.
 
     :param made_of: values that the environment and the state must have in common, by name
-    :raises ValueError: they differ, or ``state`` is not an :class:`EnvState`
     """
     if not isinstance(state, EnvState):
         advice = ". Use bulletarm_gym.vector.reset_to_states() for one state per member"

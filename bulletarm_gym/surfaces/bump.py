@@ -52,7 +52,6 @@ class BumpSurface(Surface):
         self._clearance = 0.002 if max(self.platform_size) > PLATFORM else 0.04
 
     def load(self, world: World) -> None:
-        """Load the ground plane, a pyramid of every slope and the platform."""
         self._world = world
         self.bodies.append(world.add_plane(FLOOR))
         slopes = SLOPE * (np.arange(SLOPES) + 1.0) / SLOPES
@@ -66,7 +65,6 @@ class BumpSurface(Surface):
         self.bodies += [*self._pyramids, self._platform]
 
     def arrange(self, rng: np.random.Generator) -> None:
-        """Sample the pyramids and the platform."""
         grid = Pose.planar(*self.centre, 0.0, float(rng.uniform(0.0, 2.0 * math.pi)))
         for body in self._pyramids:
             self._world.park(body)
@@ -88,12 +86,6 @@ class BumpSurface(Surface):
     def platform(self) -> Pose:
         """Frame at the centre of the platform's upper side."""
         return self._world.poses[self._platform.index]
-
-    @property
-    def slopes(self) -> FloatArray:
-        """Slopes (rad) of the nine pyramids."""
-        found: FloatArray = np.arctan(self._slopes[self._numbers])
-        return found
 
     @property
     def _numbers(self) -> list[int]:
@@ -123,12 +115,10 @@ class BumpSurface(Surface):
         return footprint.gap(Footprint.rectangle(self.platform_size, self.platform))
 
     def heights(self, points: ArrayLike) -> FloatArray:
-        """Return the heights of pyramids and platform."""
         bumps = self._bumps(np.abs(self._local(points)).max(axis=2)).max(axis=0)
         return np.where(self._on_platform(points) >= 0.0, self.level, bumps)
 
     def normal(self, xy: Point) -> Vector:
-        """Return the normal of the pyramid's side, or the vertical on the platform."""
         local = self._local([xy])[:, 0]
         bumps = self._bumps(np.abs(local).max(axis=1)[:, None])[:, 0]
         highest = int(bumps.argmax())
@@ -158,11 +148,9 @@ class BumpSurface(Surface):
         return Pose.planar(*xy, self._highest(footprint) - low, yaw)
 
     def fits(self, footprint: Footprint, margin: float = 0.0) -> bool:
-        """Return True if a footprint is inside the workspace and clear of the platform."""
         return super().fits(footprint, margin) and self._gap(footprint) >= self._clearance
 
     def fits_site(self, footprint: Footprint) -> bool:
-        """Return True if a footprint is on the platform."""
         return bool(self._on_platform(footprint.points).min() >= -1e-9)
 
     def _sites(self, size: Point, rng: np.random.Generator, max_yaw: float) -> Iterator[Pose]:

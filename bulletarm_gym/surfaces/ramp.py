@@ -68,7 +68,6 @@ class Ramp:
 
     @property
     def normal(self) -> Vector:
-        """The unit normal."""
         across = -math.sin(self.slope)
         return (across * self.uphill[0], across * self.uphill[1], math.cos(self.slope))
 
@@ -89,7 +88,6 @@ class RampSurface(Surface):
     sloping = True
 
     def load(self, world: World) -> None:
-        """Load the ground plane and the plates, which cover the workspace at every pose."""
         self._world = world
         self._half_diagonal = (self.workspace[0][1] - self.workspace[0][0]) / math.sqrt(2.0)
         widest = (self._half_diagonal - NEAREST_EDGE) / math.cos(SLOPE) + PLATE_OVERHANG
@@ -103,7 +101,6 @@ class RampSurface(Surface):
         self.bodies += [*self._plates[0], *self._plates[1]]
 
     def arrange(self, rng: np.random.Generator) -> None:
-        """Sample the strip and both plates."""
         yaw = rng.uniform(0.0, 2.0 * math.pi)
         gap = rng.uniform(min(max(STRIP_WIDTHS[0], self.site[0]), STRIP_WIDTHS[1]), STRIP_WIDTHS[1])
         nearest = max(NEAREST_EDGE, gap - FARTHEST_EDGE)
@@ -136,7 +133,6 @@ class RampSurface(Surface):
         return -float(first.distances([second.edge[:2]])[0])
 
     def heights(self, points: ArrayLike) -> FloatArray:
-        """Return the heights of the plates, and 0 between them."""
         found = np.zeros(len(np.asarray(points)))
         for ramp in self.ramps:
             beyond = ramp.distances(points)
@@ -144,17 +140,14 @@ class RampSurface(Surface):
         return found
 
     def normal(self, xy: Point) -> Vector:
-        """Return the normal of the plate, or the vertical between the plates."""
         return next((ramp.normal for ramp in self.ramps if ramp.distances([xy])[0] >= 0.0), UP)
 
     def fits(self, footprint: Footprint, margin: float = 0.0) -> bool:
-        """Return True if a footprint is inside the workspace and crosses no edge."""
         beyond = [ramp.distances(footprint.points) for ramp in self.ramps]
         crosses = any(values.min() < 0.0 < values.max() for values in beyond)
         return not crosses and super().fits(footprint, margin)
 
     def fits_site(self, footprint: Footprint) -> bool:
-        """Return True if a footprint is inside the workspace and between the plates."""
         between = all(ramp.distances(footprint.points).max() <= 0.0 for ramp in self.ramps)
         return between and super().fits(footprint)
 

@@ -25,7 +25,7 @@ margin suffices, because corners may extend over the strip that rises to the wal
 UP: Vector = (0.0, 0.0, 1.0)
 """Normal of level ground."""
 ATTEMPTS = 200
-"""Number of samples before the surface counts as too small."""
+"""Number of samples of a pose before there counts to be no space for it."""
 
 
 class Surface(ABC):
@@ -49,7 +49,9 @@ class Surface(ABC):
     """Distance (m) that a body may move while it comes to rest; it is laid that far from the border."""
 
     def __init__(self, workspace: list[list[float]], site: Point = SITE) -> None:
-        self.workspace = workspace
+        (x0, x1), (y0, y1), _ = self.workspace = workspace
+        self.centre: Point = ((x0 + x1) / 2.0, (y0 + y1) / 2.0)
+        """Centre (m) of the workspace."""
         self.site = site
         self.bodies: list[Body] = []
         """Bodies of the surface, parked ones included."""
@@ -66,12 +68,6 @@ class Surface(ABC):
     def level(self) -> float:
         """Height (m) of the level ground for structures."""
         return 0.0
-
-    @property
-    def centre(self) -> Point:
-        """Centre (m) of the workspace."""
-        (x0, x1), (y0, y1), _ = self.workspace
-        return ((x0 + x1) / 2.0, (y0 + y1) / 2.0)
 
     @abstractmethod
     def heights(self, points: ArrayLike) -> FloatArray:
@@ -162,15 +158,12 @@ class FlatSurface(Surface):
     """The plane z = 0."""
 
     def load(self, world: World) -> None:
-        """Load the ground plane."""
         self.bodies.append(world.add_plane(FLOOR))
 
     def heights(self, points: ArrayLike) -> FloatArray:
-        """Return the level everywhere."""
         return np.full(len(np.asarray(points)), self.level)
 
     def normal(self, xy: Point) -> Vector:
-        """Return the vertical everywhere."""
         return UP
 
 
@@ -185,7 +178,6 @@ class TraySurface(FlatSurface):
         self._side = self._size - RIM
 
     def load(self, world: World) -> None:
-        """Load the ground plane and the tray."""
         super().load(world)
         for spec in (tray_floor(self._size), tray_walls(self._size)):
             self.bodies.append(world.add(spec, Pose((*self.centre, 0.0))))
@@ -196,7 +188,6 @@ class TraySurface(FlatSurface):
         return FLOOR_HEIGHT
 
     def fits(self, footprint: Footprint, margin: float = 0.0) -> bool:
-        """Return True if a footprint is on the floor, ``margin`` (m) from the walls."""
         half = self._side / 2.0
         return footprint.is_inside([[middle - half, middle + half] for middle in self.centre], margin)
 

@@ -14,14 +14,13 @@ from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.experts.approach import ALIGNED, ALIGNED_YAW, HOVER, rotates
 from bulletarm_gym.experts.grasp_sampling import DEPTHS, YAWS, ElevationMap, find_grasps
 from bulletarm_gym.experts.pushing import singulate
-from bulletarm_gym.geometry import FloatArray, Mesh, PlacementError, Pose, planar_distance, wrap_angle
-from bulletarm_gym.objects.blocks import CUBE_SIZE
+from bulletarm_gym.geometry import FloatArray, PlacementError, Pose, planar_distance, wrap_angle
 from bulletarm_gym.objects.catalogue import object_set
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject
 from bulletarm_gym.scene.sampling import ARRANGEMENTS
 from bulletarm_gym.scene.stability import settle
-from bulletarm_gym.simulation import BodySpec, Convex, Piece
 from bulletarm_gym.tasks.picking import Lift
+from bulletarm_gym.tasks.task import Task
 
 DROP_HEIGHT = 0.12
 """Height (m) above the tray's floor from which objects are dropped."""
@@ -93,22 +92,17 @@ class ObjectGrasping(Lift):
     grasps = False
 
     def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
-        """Return all objects of the set, each in one size.
-
-        :raises ValueError: the set has fewer than ``num_objects`` objects, or unknown kinds
-        """
         specs = object_set(config.object_set)
         if len(specs) < config.num_objects:
             must = f"at most {len(specs)} with this object_set, got {config.num_objects}"
             raise ValueError(f"num_objects must be {must}")
-        sized = zip(specs, cycle(config.scales), strict=False)
-        return [ObjectSlot(spec.name, (_resized(spec, scale),), scales=(scale,)) for spec, scale in sized]
+        slots = []
+        for spec, scale in zip(specs, cycle(config.scales), strict=False):
+            pieces = tuple(piece.scaled(scale) for piece in spec.pieces)
+            slots.append(ObjectSlot(spec.name, (replace(spec, pieces=pieces),), scales=(scale,)))
+        return slots
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Drop objects into the tray.
-
-        :raises PlacementError: they do not stay in it
-        """
         for _ in range(ARRANGEMENTS):
             chosen = rng.choice(len(scene.objects), self.config.num_objects, replace=False)
             self.drop(scene, [scene.objects[index] for index in chosen], rng)
@@ -160,7 +154,6 @@ class ObjectGrasping(Lift):
             self.memory = (*failed, tool)[-MAX_FAILURES:]
 
     def plan_grasp(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
-        """Execute the best grasp, or push an object if no grasp is possible."""
         elevation = ElevationMap.of(scene)
         target = self._target(scene, elevation)
         if target is None:
@@ -209,22 +202,13 @@ class OpenLoopObjectGrasping(ObjectGrasping):
     defaults = replace(DEFAULTS, num_objects=15, max_steps=1, lifts=False)
     controls = (OPEN_LOOP,)
     single_step = True
-
-    @property
-    def height(self) -> float:
-        """Height (m) of a largest object."""
-        return CUBE_SIZE * max(self.config.scales)
+    after_action = Task.after_action  # the episode is over
 
     @property
     def grasp_params(self) -> GraspParams:
-        """Parameters of deep grasps for which only the area between the fingers counts."""
         return GraspParams(pick_offset=PICK_DEPTH, pick_area=PICK_AREA)
 
-    def after_action(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Remember nothing, because the episode is over."""
-
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
-        """Execute one of the best grasps; move an object if no grasp is possible."""
         if scene.held is not None:
             yield Waypoint(scene.robot.pose, CLOSED, finish=OPEN)
             return
@@ -277,10 +261,3 @@ def _pose(grasp: FloatArray) -> Pose:
 def _half_turns(angles: FloatArray) -> FloatArray:
     """Return equivalent yaws (rad) of a symmetric gripper in [-pi/2, pi/2)."""
     return (angles + math.pi / 2.0) % math.pi - math.pi / 2.0
-
-
-def _resized(spec: BodySpec, scale: float) -> BodySpec:
-    if scale == 1.0:
-        return spec
-    meshes = [Mesh.of(piece.mesh.vertices * scale, piece.mesh.faces) for piece in spec.pieces]
-    return replace(spec, pieces=tuple(Piece(Convex(mesh)) for mesh in meshes))

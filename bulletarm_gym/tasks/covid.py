@@ -86,14 +86,9 @@ class CovidTest(Task):
 
     @property
     def grasp_params(self) -> GraspParams:
-        """Parameters of grasps of thin objects that lie close together."""
         return GraspParams(pick_offset=GRASP_DEPTH, opening=OPENING)
 
     def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
-        """Return the containers, swabs, tubes and used tubes.
-
-        :raises ParameterError: swabs and tubes overlap in their box
-        """
         if max(config.scales) > MAX_SCALE:
             takes = f"sizes up to {MAX_SCALE}: larger swabs and tubes overlap in their box"
             raise ParameterError.of("object_scale_range", config.object_scale_range, takes)
@@ -105,7 +100,6 @@ class CovidTest(Task):
         ]
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Place the three containers side by side, and swabs and tubes in the first."""
         site = goal_site(scene, rng, self.site)
         mirror = float(rng.choice((-1.0, 1.0)))
         for name, (_, size, (right, up)) in CONTAINERS.items():
@@ -124,7 +118,6 @@ class CovidTest(Task):
         scene[name].place(scene[container].pose.compose(pose))
 
     def after_action(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Simulate the user: a swab and a tube in the test area become a used tube."""
         swabs, tubes = (self._inside(scene, kind, "test area") for kind in ("swab", "tube"))
         away = scene.robot.pose.z > scene["test area"].pose.z + AWAY
         if not (len(swabs) == len(tubes) == 1 and is_empty(scene) and away):
@@ -137,23 +130,19 @@ class CovidTest(Task):
         self._lay(scene, f"used tube {number}", "test area", point, yaw)
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
-        """Return whether all used tubes are collected, the gripper is empty and nothing moves."""
         collected = len(self._inside(scene, "used tube", "used box")) == ROUNDS
         return success_at_rest(scene, is_collected=collected)
 
     def parts(self, scene: Scene, rng: np.random.Generator) -> tuple[int, int]:
-        """Return the number of finished moves, and of all moves: three a test."""
         tested = len(self._of_kind(scene, "used tube"))  # by two moves each
         placed = sum(len(self._inside(scene, kind, name)) for kind, (name, _, _) in TARGETS.items())
         return 2 * tested + placed, len(TARGETS) * ROUNDS
 
     def is_valid(self, scene: Scene) -> bool:
-        """Return True if all objects are inside the workspace, and at most one pair is in the test area."""
         swabs, tubes, used = (len(self._inside(scene, kind, "test area")) for kind in KINDS)
         return super().is_valid(scene) and swabs <= 1 and tubes + used <= 1
 
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
-        """Move the next object to its container."""
         held = scene.held
         if held is None:
             yield self._pick(scene, self._next(scene))

@@ -56,11 +56,9 @@ class DrawerOpening(Task):
     height = HANDLE[2] + HANDLE_RADIUS
 
     def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
-        """Return the cabinet with its drawer."""
         return [ObjectSlot("drawer", (drawer("drawer"),))]
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Place the cabinet so that the gripper can hook the handle and open the drawer."""
         ends = (HOOK, _open_position(scene.robot.model.gripper))
 
         def draw() -> Pose:
@@ -80,11 +78,9 @@ class DrawerOpening(Task):
         scene["drawer"].set_joints((0.0,))
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
-        """Return whether the drawer is open."""
         return {"success": scene["drawer"].joints[0] > OPENED}
 
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
-        """Move the gripper behind the bar, and pull."""
         tool, gripper = scene.robot.pose, scene.robot.model.gripper
         cabinet, opened = scene["drawer"].pose, scene["drawer"].joints[0]
         yaw = tool.yaw

@@ -13,18 +13,9 @@ from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.experts.approach import RELEASE, place_pose, rotates
 from bulletarm_gym.experts.pick_place import pick, resting_frame
 from bulletarm_gym.geometry import FloatArray, Footprint, Pose, matrix, planar_distance, wrap_angle
+from bulletarm_gym.objects import containers
 from bulletarm_gym.objects.blocks import SHAPES, packing_block
-from bulletarm_gym.objects.containers import (
-    BIN,
-    BIN_WALL,
-    BOTTLE_HEIGHT,
-    BOTTLES,
-    TRAY,
-    TRAY_FLOOR,
-    bottle,
-    bottle_tray,
-    packing_bin,
-)
+from bulletarm_gym.objects.containers import BIN, BOTTLES, TRAY
 from bulletarm_gym.observations import HeightRenderer, Window
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, shaped
 from bulletarm_gym.scene.predicates import inside, is_top, loose_objects, success_at_rest, touching, upright
@@ -88,17 +79,14 @@ class BinPacking(Task):
 
     @property
     def grasp_params(self) -> GraspParams:
-        """Parameters of grasps near the tops of blocks."""
         return GraspParams(pick_offset=PICK_OFFSET * max(self.config.scales), opening=OPENING)
 
     def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
-        """Return the bin, and the blocks with all shapes in all sizes."""
         names = [f"block {number}" for number in range(config.num_objects)]
         blocks = [shaped(config, name, packing_block, len(SHAPES)) for name in names]
-        return [ObjectSlot("bin", (packing_bin("bin"),)), *blocks]
+        return [ObjectSlot("bin", (containers.packing_bin("bin"),)), *blocks]
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Place the bin, and the blocks next to it."""
         site = goal_site(scene, rng, self.site)
         scene["bin"].place(site.compose(Pose.planar(0.0, 0.0, 0.0, math.pi / 2.0)))
         base = footprint(scene["bin"])
@@ -110,17 +98,14 @@ class BinPacking(Task):
         place_apart(scene, rng, scene.objects[1:], BLOCK_SPACING, allows=is_graspable)
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
-        """Return whether all blocks are in the bin, the gripper is empty and nothing moves."""
         packed = all(self._is_in_bin(scene, block) for block in loose_objects(scene))
         return success_at_rest(scene, is_packed=packed)
 
     def parts(self, scene: Scene, rng: np.random.Generator) -> tuple[int, int]:
-        """Return the number of blocks in the bin, and of all blocks."""
         blocks = loose_objects(scene)
         return sum(self._is_in_bin(scene, block) for block in blocks), len(blocks)
 
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
-        """Grasp the largest block outside the bin, or release the grasped block in it."""
         held, blocks = scene.held, loose_objects(scene)
         if held is not None:
             yield Waypoint(FreeSpace(scene, held).best(), CLOSED, finish=OPEN)
@@ -138,9 +123,6 @@ class FreeSpace:
     """Search for a release pose in the bin, without collisions of the grasped block and the open fingers.
 
     All coordinates are in the bin's frame, and positions refer to the fingertips.
-
-    :param scene: scene with the bin
-    :param held: the grasped block
     """
 
     def __init__(self, scene: Scene, held: SceneObject) -> None:
@@ -217,8 +199,8 @@ class FreeSpace:
         view = HeightRenderer.of(self._scene).heights_of(bodies, Window(self._bin.position[:2], VIEW, size))
         grid = np.stack(np.meshgrid(self._xs, self._ys, indexing="ij"), axis=-1)
         rows, columns = ((grid @ matrix(self._bin)[:2, :2].T + VIEW / 2.0) / VIEW * size).astype(int).T
-        heights = np.maximum(view[rows.T, columns.T] - self._bin.z, BIN_WALL)
-        inside = (np.abs(grid) < np.array(BIN[:2]) / 2.0 - BIN_WALL).all(axis=-1)
+        heights = np.maximum(view[rows.T, columns.T] - self._bin.z, containers.BIN_WALL)
+        inside = (np.abs(grid) < np.array(BIN[:2]) / 2.0 - containers.BIN_WALL).all(axis=-1)
         return np.where(inside, heights, BIN[2])
 
     def _highest(self, low: FloatArray, high: FloatArray, outside: float) -> FloatArray:
@@ -262,43 +244,36 @@ class BottleArrangement(Task):
     @property
     def height(self) -> float:
         """Height (m) of the middle of a bottle in the tray."""
-        return TRAY_FLOOR + BOTTLE_HEIGHT * max(self.config.scales) / 2.0
+        return containers.TRAY_FLOOR + containers.BOTTLE_HEIGHT * max(self.config.scales) / 2.0
 
     @property
     def grasp_params(self) -> GraspParams:
-        """Parameters of grasps at necks, and of releases close to the tray, because bottles tip over."""
         depth = NECK_OFFSET * max(self.config.scales)
         return GraspParams(pick_offset=depth, place_offset=BOTTLE_GAP, opening=NECK_OPENING)
 
     def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
-        """Return the tray, and the bottles with all shapes in all sizes."""
         names = [f"bottle {number}" for number in range(config.num_objects)]
-        bottles = [shaped(config, name, bottle, len(BOTTLES)) for name in names]
-        return [ObjectSlot("tray", (bottle_tray("tray"),)), *bottles]
+        bottles = [shaped(config, name, containers.bottle, len(BOTTLES)) for name in names]
+        return [ObjectSlot("tray", (containers.bottle_tray("tray"),)), *bottles]
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Place the tray, and the bottles next to it."""
         scene["tray"].place(goal_site(scene, rng, self.site))
         place_apart(scene, rng, scene.objects[1:], BOTTLE_SPACING)
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
-        """Return whether all bottles are in the tray, the gripper is empty and nothing moves."""
         arranged = all(self._is_in_tray(scene, obj) for obj in loose_objects(scene))
         return success_at_rest(scene, is_arranged=arranged)
 
     def parts(self, scene: Scene, rng: np.random.Generator) -> tuple[int, int]:
-        """Return the number of bottles in the tray, and of all bottles."""
         bottles = loose_objects(scene)
         return sum(self._is_in_tray(scene, obj) for obj in bottles), len(bottles)
 
     def is_valid(self, scene: Scene) -> bool:
-        """Return True if all objects are inside the workspace and every bottle is upright."""
         return super().is_valid(scene) and all(
             upright(obj) for obj in loose_objects(scene) if obj is not scene.held
         )
 
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
-        """Grasp the next bottle, or release it in the tray."""
         held, yaw, bottles = scene.held, scene["tray"].pose.yaw, loose_objects(scene)
         if held is not None:
             rotation = wrap_angle(yaw - scene.robot.pose.yaw, math.pi / 2.0)
@@ -329,4 +304,4 @@ def tray_positions() -> list[Pose]:
     pitch = (TRAY[0] / COLUMNS, TRAY[1] / ROWS)
     columns = [pitch[0] * (column - (COLUMNS - 1) / 2.0) for column in range(COLUMNS)]
     rows = [pitch[1] * (row - (ROWS - 1) / 2.0) for row in range(ROWS)]
-    return [Pose((x, y, TRAY_FLOOR)) for x in columns for y in rows]
+    return [Pose((x, y, containers.TRAY_FLOOR)) for x in columns for y in rows]

@@ -80,22 +80,18 @@ class BoxPalletizing(Task):
 
     @property
     def grasp_params(self) -> GraspParams:
-        """Parameters of grasps slightly above a box's centre."""
         return GraspParams(pick_offset=PICK_OFFSET * max(self.config.scales))
 
     def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
-        """Return the pallet and all boxes."""
         boxes = [scaled(config, f"box {number}", palletizing_box) for number in range(config.num_objects)]
         return [ObjectSlot("pallet", (pallet("pallet"),)), *boxes]
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Place the pallet, and the first box next to it."""
         site = goal_site(scene, rng, self.site)
         scene["pallet"].place(site.compose(Pose.planar(0.0, 0.0, 0.0, math.pi / 2.0)))
         self._add_box(scene, rng)
 
     def after_action(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Add the next box when all others are placed correctly; the episode ends if it has no free pose."""
         boxes = loose_objects(scene)
         done = success_at_rest(scene, is_stacked=len(self._correct(scene)) == len(boxes))
         if done["success"] and len(boxes) < self.config.num_objects:
@@ -105,7 +101,6 @@ class BoxPalletizing(Task):
                 self.memory = NO_ROOM
 
     def is_valid(self, scene: Scene) -> bool:
-        """Return True if all objects are inside the workspace and the next box had a free pose."""
         return super().is_valid(scene) and self.memory != NO_ROOM
 
     def _add_box(self, scene: Scene, rng: np.random.Generator) -> None:
@@ -130,15 +125,12 @@ class BoxPalletizing(Task):
         box.place(sample_until(draw, fits, ATTEMPTS))
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
-        """Return whether all boxes are placed correctly, the gripper is empty and nothing moves."""
         return success_at_rest(scene, is_stacked=len(self._correct(scene)) == self.config.num_objects)
 
     def parts(self, scene: Scene, rng: np.random.Generator) -> tuple[int, int]:
-        """Return the number of correctly placed boxes, and of all boxes, future ones included."""
         return len(self._correct(scene)), self.config.num_objects
 
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
-        """Grasp a misplaced box, or release the grasped box at its place."""
         held = scene.held
         if held is None:
             yield pick(scene, self._next(scene), rng)
@@ -198,11 +190,7 @@ def layer_yaw(layer: int) -> float:
 
 
 def places(layer: int, width: float, length: float) -> list[Pose]:
-    """Return the places of a layer's six boxes in the pallet's frame, at the bottom of the layer.
-
-    :param width: width of a box (m)
-    :param length: length of a box (m)
-    """
+    """Return the places of a layer's six boxes in the pallet's frame, at the bottom of the layer."""
     columns = [side * (length + BOX_SPACING) / 2.0 for side in (-1.0, 1.0)]
     rows = [side * (width + BOX_SPACING) for side in (-1.0, 0.0, 1.0)]
     grid = [(row, column) if layer % 2 else (column, row) for column in columns for row in rows]

@@ -70,17 +70,14 @@ class BlockReaching(Task):
     """Largest absolute yaw (rad) of the cube at the start."""
 
     def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
-        """Return the cube."""
         return [scaled(config, "cube", cube)]
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Place the cube in the workspace."""
         block = scene["cube"]
         (point,) = scatter(scene, rng, [BORDER_MARGIN * block.spec.extents[0]], 0.0)
         stand(scene, block, point, rng, self.spread)
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
-        """Return whether the fingertips are near the cube's centre."""
         distance = math.dist(scene.robot.pose.position, scene["cube"].pose.position)
         return {"success": distance < REACHED}
 
@@ -89,11 +86,9 @@ class BlockReaching(Task):
         return np.array(scene.robot.pose.position), np.array(scene["cube"].pose.position)
 
     def goal_error(self, achieved: FloatArray, desired: FloatArray) -> FloatArray:
-        """Return the distances between goals, relative to :data:`REACHED`."""
         return np.asarray(np.linalg.norm(achieved - desired, axis=-1) / REACHED)
 
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
-        """Move to the cube."""
         target, tool = scene["cube"].pose, scene.robot.pose
         rotation = wrap_angle(target.yaw - tool.yaw, math.pi / 2.0)
         yield Waypoint(Pose.planar(*target.position, tool.yaw + rotation), OPEN)
@@ -107,16 +102,14 @@ class Lift(Task):
 
     @property
     def height(self) -> float:
-        """Height (m) to which the gripper must lift."""
-        return self.config.lift_height
+        """Height (m) to which the gripper must lift, if the success depends on it."""
+        return self.config.lift_height if self.defaults.lifts else super().height
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
-        """Return whether an object is held above ``lift_height``."""
         held = not is_empty(scene)
         return {"success": held and scene.robot.pose.z > self.config.lift_height, "is_held": held}
 
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
-        """Grasp an object, then lift it."""
         tool = scene.robot.pose
         if is_empty(scene):
             yield from self.plan_grasp(scene, rng)
@@ -146,7 +139,6 @@ class BlockPicking(Lift, BlockReaching):
     spread = math.pi / 4.0
 
     def plan_grasp(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
-        """Grasp the cube along its sides."""
         block = scene["cube"]
         symmetry = approach.side_symmetry(block.pose)
         yaw = block.pose.yaw if symmetry < math.pi else side_yaw(block.pose)
@@ -174,11 +166,9 @@ class BlockInBowl(Task):
         return (BOWL_HEIGHT + CUBE_SIZE / 2.0) * max(self.config.scales)
 
     def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
-        """Return cube and bowl."""
         return [scaled(config, "cube", cube), scaled(config, "bowl", bowl)]
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Place cube and bowl apart."""
         block, vessel = scene["cube"], scene["bowl"]
         margins = [BOWL_BORDER * vessel.spec.extents[0], BORDER_MARGIN * block.spec.extents[0]]
         vessel_point, point = scatter(scene, rng, margins, vessel.spec.planar_radius + RIM_CLEARANCE)
@@ -186,7 +176,6 @@ class BlockInBowl(Task):
         stand(scene, block, point, rng, math.pi / 2.0)
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
-        """Return whether the cube is in the upright bowl, the gripper is empty and nothing moves."""
         block, vessel = scene["cube"], scene["bowl"]
         centred = planar_distance(block.pose.position, vessel.pose.position) < CENTRED
         return success_at_rest(
@@ -194,7 +183,6 @@ class BlockInBowl(Task):
         )
 
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
-        """Grasp the cube, or release it in the bowl."""
         block, vessel = scene["cube"], scene["bowl"]
         if is_held(scene, block):
             height = vessel.lowest + RELEASE_HEIGHT * vessel.spec.extents[2]
@@ -223,11 +211,9 @@ class CornerPicking(Lift):
     )
 
     def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
-        """Return the cube and the corner."""
         return [scaled(config, "cube", cube), ObjectSlot("corner", (corner("corner"),))]
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Place the corner so that the cube in it is inside the workspace."""
         block, walls = scene["cube"], scene["corner"]
         inset = CORNER_INSIDE + block.spec.extents[0] / 2.0 + WALL_CLEARANCE
         place = Pose((inset, inset, CORNER_PLATE + block.spec.extents[2] / 2.0))
@@ -245,7 +231,6 @@ class CornerPicking(Lift):
         block.place(pose.compose(place))
 
     def plan_grasp(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
-        """Draw the cube out of the corner first, if it is still there."""
         block, walls, tool = scene["cube"], scene["corner"].pose, scene.robot.pose
         half, top = block.spec.extents[0] / 2.0, scene.world.top(block.body)
         inner = walls.inverse().transform(block.pose.position)

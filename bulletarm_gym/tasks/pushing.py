@@ -62,12 +62,10 @@ class BlockPushing(Task):
         return min(1.0, max(self.config.scales))
 
     def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
-        """Return the cube and the mark of the goal area."""
         goal = goal_area("goal", self._scale * GOAL_SIDE)
         return [scaled(config, "cube", cube), ObjectSlot("goal", (goal,))]
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Place cube and goal apart."""
         block, goal = scene["cube"], scene["goal"]
         margins = [self._scale * GOAL_BORDER, BORDER_MARGIN * block.spec.extents[0]]
         aligned = not self.config.random_orientation
@@ -76,12 +74,10 @@ class BlockPushing(Task):
         stand(scene, block, point, rng, math.pi / 2.0)
 
     def overlays(self, scene: Scene) -> tuple[Overlay, ...]:
-        """Return the goal area."""
         pose, side = scene["goal"].pose, self._scale * GOAL_SIDE
         return (Overlay(Rectangle(pose.x, pose.y, side, side, pose.yaw), GOAL_RISE),)
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
-        """Return whether the cube's centre is near the goal's."""
         distance = planar_distance(scene["cube"].pose.position, scene["goal"].pose.position)
         return {"success": distance < self._scale * GOAL_REACHED}
 
@@ -90,11 +86,9 @@ class BlockPushing(Task):
         return np.array(scene["cube"].pose.position[:2]), np.array(scene["goal"].pose.position[:2])
 
     def goal_error(self, achieved: FloatArray, desired: FloatArray) -> FloatArray:
-        """Return the distances between goals, relative to :data:`GOAL_REACHED`, less for smaller cubes."""
         return np.asarray(np.linalg.norm(achieved - desired, axis=-1) / (self._scale * GOAL_REACHED))
 
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
-        """Move behind the cube, and push."""
         yield from Drag(scene, scene["cube"], scene["goal"].pose.position, self._scale * PUSH_HEIGHT).plan()
 
 
@@ -117,11 +111,9 @@ class BlockPulling(Task):
     grasps = False
 
     def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
-        """Return the two blocks."""
         return [scaled(config, name, flat_block) for name in ("near block", "far block")]
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Place the blocks apart."""
         side = max(block.spec.extents[0] for block in scene.objects)
         aligned = not self.config.random_orientation
         points = scatter(scene, rng, [PULL_BORDER_MARGIN * side] * 2, PULL_SPACING * side, aligned)
@@ -129,7 +121,6 @@ class BlockPulling(Task):
             stand(scene, block, point, rng, math.pi / 2.0)
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
-        """Return whether the blocks touch."""
         return {"success": touching(scene, *scene.objects)}
 
     def goals(self, scene: Scene) -> tuple[FloatArray, FloatArray]:
@@ -138,11 +129,9 @@ class BlockPulling(Task):
         return np.array([max(scene.world.distance(first, second, FAR), 0.0)]), np.zeros(1)
 
     def goal_error(self, achieved: FloatArray, desired: FloatArray) -> FloatArray:
-        """Return the differences of gaps, relative to :data:`~bulletarm_gym.scene.predicates.TOUCHING`."""
         return np.asarray(np.abs(achieved - desired)[..., 0] / TOUCHING)
 
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
-        """Pull the block with the shorter path to the other block."""
         pairs = permutations(scene.objects)
         drags = [Drag(scene, block, goal.pose.position, PULL_HEIGHT) for block, goal in pairs]
         yield from min(drags, key=lambda drag: drag.effort).plan()

@@ -1,8 +1,9 @@
 """Sorting blocks by colour."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -73,39 +74,33 @@ class BlockSorting(Task):
         return super().height / 2.0 + BOWL_HEIGHT * BOWL_SCALE * max(self.config.scales)
 
     def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
-        """Return the bowls and the cubes."""
         pairs = range((config.num_objects - len(COLOURS)) // len(COLOURS))
-        bowls = [scaled(config, f"{name} bowl", _coloured(_bowl, colour)) for name, colour in COLOURS.items()]
+        bowls = [scaled(config, f"{name} bowl", partial(_bowl, colour)) for name, colour in COLOURS.items()]
         return bowls + [
-            scaled(config, f"{name} cube {number}", _coloured(cube, colour), name)
+            scaled(config, f"{name} cube {number}", replace(cube, colour=colour), name)
             for number in pairs
             for name, colour in COLOURS.items()
         ]
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Place all objects apart, with space for the gripper around each cube."""
         sample_until(
             lambda: place_apart(scene, rng, scene.objects, SPACING),
             lambda _: all(_has_space(scene, block) for block in _cubes(scene)),
         )
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
-        """Return whether the cubes are in their bowls, the gripper is empty and nothing moves."""
         placed = all(_is_in(_bowl_of(scene, block), block) for block in _cubes(scene))
         return success_at_rest(scene, is_sorted=placed)
 
     def parts(self, scene: Scene, rng: np.random.Generator) -> tuple[int, int]:
-        """Return the number of cubes in their bowls, and of all cubes."""
         cubes = _cubes(scene)
         released = (block for block in cubes if block is not scene.held)
         return sum(_is_in(_bowl_of(scene, block), block) for block in released), len(cubes)
 
     def is_valid(self, scene: Scene) -> bool:
-        """Return True if all objects are inside the workspace and the bowls are upright."""
         return super().is_valid(scene) and all(upright(scene[f"{name} bowl"]) for name in COLOURS)
 
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
-        """Grasp the next cube, or release it in its bowl."""
         held = scene.held
         if held in _cubes(scene):
             yield from _put(scene, held)
@@ -188,10 +183,5 @@ def _is_in(vessel: SceneObject, block: SceneObject) -> bool:
     return is_below and math.hypot(x, y) < (BOWL_DIAMETER / 2.0 - BOWL_THICKNESS) * scale
 
 
-def _bowl(name: str, scale: float) -> BodySpec:
-    return bowl(name, BOWL_SCALE * scale)
-
-
-def _coloured(make: Callable[[str, float], BodySpec], colour: Colour) -> Callable[[str, float], BodySpec]:
-    """Return a function that makes the same objects in another colour."""
-    return lambda name, scale: replace(make(name, scale), colour=colour)
+def _bowl(colour: Colour, name: str, scale: float) -> BodySpec:
+    return replace(bowl, colour=colour)(name, BOWL_SCALE * scale)

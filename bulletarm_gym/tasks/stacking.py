@@ -15,27 +15,10 @@ from bulletarm_gym.experts.approach import PASSING
 from bulletarm_gym.experts.blueprint import BUILD_TOLERANCE, Blocks, Blueprint
 from bulletarm_gym.experts.builder import Builder, TowerBuilder
 from bulletarm_gym.geometry import FloatArray
-from bulletarm_gym.objects.blocks import (
-    CELL,
-    CUBE_SIZE,
-    MAX_STRETCHED_CELLS,
-    brick,
-    cube,
-    improvise_blocks,
-    improvise_bricks,
-    roof,
-    triangle,
-)
-from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, scaled
-from bulletarm_gym.scene.predicates import (
-    UPRIGHT,
-    is_empty,
-    is_top,
-    on_surface,
-    stacked,
-    success_at_rest,
-    upright,
-)
+from bulletarm_gym.objects import blocks
+from bulletarm_gym.objects.blocks import CUBE_SIZE, brick, cube, roof, triangle
+from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, predicates, scaled
+from bulletarm_gym.scene.predicates import is_empty, success_at_rest, upright
 from bulletarm_gym.scene.sampling import place_apart, sample_until, scatter, stand
 from bulletarm_gym.simulation import BodySpec
 from bulletarm_gym.tasks.picking import BORDER_MARGIN
@@ -51,8 +34,6 @@ fingers fit."""
 def structure_defaults(blocks: int, max_steps: int = 10, allowed: tuple[int, ...] = ()) -> TaskDefaults:
     """Return the defaults of a structure; closed-loop control has ten times the steps.
 
-    :param blocks: number of blocks
-    :param max_steps: number of open-loop steps
     :param allowed: values of ``num_objects``; by default only ``blocks``
     """
     return TaskDefaults(
@@ -74,14 +55,17 @@ class Structure(Task):
     also within pi/7 of their line and tilted by less than 20 degrees. The gripper is empty and nothing moves.
     Validity: no triangle and no roof (:attr:`upright`) has fallen over, because the gripper cannot right it.
     Expert: add the next block, from the surface up. Blocks that obstruct the structure are put aside first.
-
-    :param config: the environment's parameters
     """
 
     controls = (OPEN_LOOP, CLOSE_LOOP)
-    kinds: ClassVar[Mapping[str, Callable[[str, float], BodySpec]]]
+    kinds: ClassVar[Mapping[str, Callable[[str, float], BodySpec]]] = {
+        "cube": cube,
+        "brick": brick,
+        "roof": roof,
+        "triangle": triangle,
+    }
     """Functions that make each kind of block from a name and a scale."""
-    upright: Sequence[str] = ()
+    upright: Sequence[str] = ("roof", "triangle")
     """Kinds whose z axis must stay vertical."""
     layers: Sequence[Sequence[str]]
     """The kinds of the blocks of each layer, from the surface up, see :class:`Blueprint`."""
@@ -104,7 +88,6 @@ class Structure(Task):
         return Blueprint(self.layers, self.upright, CUBE_SIZE * max(self.config.scales))
 
     def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
-        """Return the blocks of all layers, numbered if there are several of a kind."""
         kinds = [kind for layer in self.layers for kind in layer]
         slots = []
         for place, kind in enumerate(kinds):
@@ -121,8 +104,6 @@ class Structure(Task):
         return scaled(config, name, self.kinds[kind])
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Place the blocks apart, without a part of the structure and with space to build it."""
-
         def place() -> Builder:
             place_apart(scene, rng, scene.objects, BLOCK_SPACING)
             return self.builder(scene, rng)
@@ -130,24 +111,19 @@ class Structure(Task):
         sample_until(place, lambda builder: builder.is_unbuilt)
 
     def arrange_goal(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Place the blocks on level ground as the finished structure."""
         self.builder(scene, rng).finish()
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
-        """Return whether the structure is built, the gripper is empty and nothing moves."""
         return success_at_rest(scene, is_built=self.blueprint.is_built(scene, self.blocks(scene)))
 
     def is_valid(self, scene: Scene) -> bool:
-        """Return True if all objects are inside the workspace and no block of :attr:`upright` has fallen."""
-        blocks = (block for kind in self.upright for block in self.blocks(scene)[kind])
+        blocks = (block for kind in self.upright for block in self.blocks(scene).get(kind, ()))
         return super().is_valid(scene) and not any(_has_fallen(scene, block) for block in blocks)
 
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
-        """Add the next block."""
         yield from self.builder(scene, rng).plan()
 
     def parts(self, scene: Scene, rng: np.random.Generator) -> tuple[int, int]:
-        """Return the number of blocks built on the first one, and of all blocks but one."""
         return max(len(self.builder(scene, rng).placed) - 1, 0), max(len(scene.objects) - 1, 1)
 
     def builder(self, scene: Scene, rng: np.random.Generator) -> Builder:
@@ -167,7 +143,7 @@ def _has_fallen(scene: Scene, block: SceneObject) -> bool:
     if block is scene.held or upright(block):
         return False
     ground = scene.surface.pose(block.pose.position[:2], 0.0)
-    return ground.inverse().compose(block.pose).tilt >= UPRIGHT
+    return ground.inverse().compose(block.pose).tilt >= predicates.UPRIGHT
 
 
 CENTRE_SPACING = 2.4
@@ -181,8 +157,6 @@ class Stack(Structure):
 
     Open-loop control has the arrangement, the success and the expert of
     :class:`~bulletarm_gym.tasks.stacking.Structure`.
-
-    :param config: the environment's parameters
     """
 
     defaults = structure_defaults(4, allowed=(2, 3, 4, 5, 6))
@@ -205,7 +179,6 @@ class Stack(Structure):
         return super().height + PASSING
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Place the blocks apart."""
         if not self._is_close_loop:
             super().arrange(scene, rng)
             return
@@ -216,17 +189,18 @@ class Stack(Structure):
             stand(scene, block, point, rng, self.spread)
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
-        """Return whether the blocks are stacked in order, the gripper is empty and nothing moves."""
         if not self._is_close_loop:
             return super().evaluate(scene)
-        facts = {"is_stacked": stacked(scene, scene)}
+        facts = {"is_stacked": predicates.stacked(scene, scene)}
         if self.top:
             top = self.blocks(scene)[self.top][0]
-            facts |= {"is_roof_upright": upright(top), "is_roof_on_top": is_top(top, scene.objects)}
+            facts |= {
+                "is_roof_upright": upright(top),
+                "is_roof_on_top": predicates.is_top(top, scene.objects),
+            }
         return success_at_rest(scene, **facts)
 
     def builder(self, scene: Scene, rng: np.random.Generator) -> Builder:
-        """Return the planner of the stack."""
         kind = TowerBuilder if self._is_close_loop else Builder
         return kind(scene, self.blueprint, self.blocks(scene), rng)
 
@@ -243,7 +217,6 @@ class BlockStacking(Stack):
     """
 
     instructions = ("Stack {num_objects} cubes{surface}.", "Build a tower of {num_objects} cubes{surface}.")
-    kinds = {"cube": cube}  # noqa: RUF012
     spread = math.pi / 4.0
 
     def goals(self, scene: Scene) -> tuple[FloatArray, FloatArray]:
@@ -258,7 +231,7 @@ class BlockStacking(Stack):
         offsets = np.diff([block.pose.position for block in cubes], axis=0)
         rises = [(a.spec.extents[2] + b.spec.extents[2]) / 2.0 for a, b in pairwise(cubes)]
         desired = [value for rise in rises for value in (0.0, 0.0, rise)]
-        is_free = is_empty(scene) and on_surface(scene, cubes[0])
+        is_free = is_empty(scene) and predicates.on_surface(scene, cubes[0])
         return np.append(offsets, 0.0 if is_free else side), np.array([*desired, 0.0])
 
     def goal_error(self, achieved: FloatArray, desired: FloatArray) -> FloatArray:
@@ -284,8 +257,6 @@ class HouseBuilding1(Stack):
         "Stack {num_objects} blocks{surface}, with the triangle on top.",
         "Build a tower of {num_objects} blocks{surface}, with the triangle at its top.",
     )
-    kinds = {"cube": cube, "triangle": triangle}  # noqa: RUF012
-    upright = ("triangle",)
     top = "triangle"
     spread = math.pi / 2.0
 
@@ -302,9 +273,7 @@ class HouseBuilding2(Structure):
         "Put the roof on two cubes{surface}.",
     )
     defaults = structure_defaults(3)
-    kinds = {"cube": cube, "roof": roof}  # noqa: RUF012
     layers: Sequence[Sequence[str]] = (("cube", "cube"), ("roof",))
-    upright = ("roof",)
 
 
 class HouseBuilding3(HouseBuilding2):
@@ -319,7 +288,6 @@ class HouseBuilding3(HouseBuilding2):
         "Build a house of two cubes, a brick and a roof{surface}.",
     )
     defaults = structure_defaults(4)
-    kinds = {**HouseBuilding2.kinds, "brick": brick}  # noqa: RUF012
     layers: Sequence[Sequence[str]] = (("cube", "cube"), ("brick",), ("roof",))
 
 
@@ -352,19 +320,16 @@ class ImproviseHouseBuilding2(Structure):
         "Put the roof on the other two blocks{surface}.",
     )
     defaults = structure_defaults(3)
-    kinds = {"roof": roof}  # noqa: RUF012
     layers: Sequence[Sequence[str]] = (("block", "block"), ("roof",))
-    upright = ("roof",)
-    width = CELL * MAX_STRETCHED_CELLS
+    width = blocks.CELL * blocks.MAX_STRETCHED_CELLS
 
     def block(self, config: EnvConfig, name: str, kind: str, number: int) -> ObjectSlot:
-        """Return the slot of a block with variants of all shapes and sizes."""
         if kind == "roof":
             return super().block(config, name, kind, number)
         specs = (
-            improvise_blocks(name, scale, number)
+            blocks.improvise_blocks(name, scale, number)
             if kind == "block"
-            else improvise_bricks(name, scale, BRICKS)
+            else blocks.improvise_bricks(name, scale, BRICKS)
             for scale in config.scales
         )
         variants = tuple(spec for variants in specs for spec in variants)

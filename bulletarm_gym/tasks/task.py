@@ -8,14 +8,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from bulletarm_gym.config import (
-    CLOSE_LOOP,
-    OPEN_LOOP,
-    EnvConfig,
-    ParameterError,
-    TaskDefaults,
-    default_home_height,
-)
+from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, EnvConfig, TaskDefaults, default_home_height
+from bulletarm_gym.config_checks import ParameterError
 from bulletarm_gym.control import Control, GraspParams
 from bulletarm_gym.experts import Waypoint
 from bulletarm_gym.geometry import FloatArray, Footprint, PlacementError, Pose
@@ -49,7 +43,8 @@ class Task(ABC):
     grasps: ClassVar[bool] = True
     """Whether the loose objects must fit between the open fingers."""
     instructions: ClassVar[tuple[str, ...]] = ()
-    """Sentences that describe the goal, for policies with language inputs; by default :attr:`description`.
+    """Sentences that describe the goal, for policies with language inputs; by default the first of the
+    docstring, or the class name in words.
 
     ``{num_objects}`` stands for the number of objects, and ``{surface}`` for words such as " in the tray"."""
     site: Point = SITE
@@ -68,13 +63,6 @@ class Task(ABC):
         super().__init_subclass__(**options)
         declare_state_types(cls.memory_types)
 
-    @property
-    def description(self) -> str:
-        """One sentence that describes the task: the first of the docstring, or the class name in words."""
-        paragraph = (type(self).__doc__ or "").strip().split("\n\n")[0]
-        words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", type(self).__name__).capitalize()
-        return " ".join(paragraph.split()) or f"{words}."
-
     def instruct(self, surface: str) -> tuple[str, ...]:
         """Return :attr:`instructions` with the number of objects and words for the surface.
 
@@ -86,11 +74,13 @@ class Task(ABC):
             if not isinstance(self.instructions, tuple):
                 raise TypeError
             sentences = tuple(str.format(sentence, **fields) for sentence in self.instructions)
-        except (LookupError, TypeError, ValueError) as error:
+        except (AttributeError, LookupError, TypeError, ValueError) as error:
             must = "a tuple of sentences with no fields except {num_objects} and {surface}"
             name = f"instructions of {type(self).__name__}"
             raise ValueError(f"{name} must be {must}, got {self.instructions!r}") from error
-        return sentences or (self.description,)
+        paragraph = (type(self).__doc__ or "").strip().split("\n\n")[0]
+        words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", type(self).__name__).capitalize()
+        return sentences or (" ".join(paragraph.split()) or f"{words}.",)
 
     @property
     def grasp_params(self) -> GraspParams:
@@ -131,11 +121,6 @@ class Task(ABC):
     def has_goal_structure(self) -> bool:
         """Whether the task defines :meth:`arrange_goal`."""
         return type(self).arrange_goal is not Task.arrange_goal
-
-    @property
-    def keeps_scene(self) -> bool:
-        """Whether the task defines :meth:`continue_scene`."""
-        return type(self).continue_scene is not Task.continue_scene
 
     @abstractmethod
     def evaluate(self, scene: Scene) -> dict[str, bool]:
@@ -218,8 +203,7 @@ def arrange_scene(
     """Sample surfaces and arrangements until the objects fit.
 
     :param arrange: arrangement of the task in an empty scene
-    :param changed: names of the parameters of the scene that differ from their defaults
-    :raises PlacementError: the objects do not fit; the text names these parameters
+    :param changed: names of the parameters of the scene that differ from their defaults, for errors
     """
     for attempt in range(1, ARRANGEMENTS + 1):
         scene.clear(rng)
@@ -242,11 +226,11 @@ CLEARANCE = 0.001
 
 
 def check_scene(config: EnvConfig, default: EnvConfig, scene: Scene, task: Task) -> None:
-    """Check that workspace, home height and objects fit the robot.
+    """Raise a ParameterError if workspace, heights and objects do not fit each other and the robot.
 
     :param default: default parameters of the environment
-    :raises ParameterError: they do not
     """
+    _check_heights(config, default, task)
     model = scene.robot.model
     if model.jumps_inside(config.workspace):
         base = f"its base at ({model.base.x:g}, {model.base.y:g}) and the line behind it, where it would jump"
@@ -258,12 +242,8 @@ def check_scene(config: EnvConfig, default: EnvConfig, scene: Scene, task: Task)
         _check_widths(config, scene, name)
 
 
-def check_heights(config: EnvConfig, default: EnvConfig, task: Task) -> None:
-    """Check that the gripper can descend to the objects and lift them within the workspace.
-
-    :param default: default parameters of the environment
-    :raises ParameterError: it cannot
-    """
+def _check_heights(config: EnvConfig, default: EnvConfig, task: Task) -> None:
+    """Check that the gripper can descend to the objects and lift them within the workspace."""
     low, high = config.workspace[2]
     smallest = CUBE_SIZE * min(config.scales)
     if high <= task.height:
@@ -286,8 +266,9 @@ def _changed_error(config: EnvConfig, default: EnvConfig, names: list[str], must
 
 def _check_home(config: EnvConfig, scene: Scene) -> None:
     """Check that ``home_height`` is within the workspace and, unless it is the default, above the objects."""
-    low, high = config.workspace[2]
-    if not low <= config.home_height <= (high if config.control == CLOSE_LOOP else math.inf):
+    low, top = config.workspace[2]
+    high = top if config.control == CLOSE_LOOP else math.inf
+    if not low <= config.home_height <= high:
         must = f"within the workspace, from {low:g} to {high:g} m"
         raise ParameterError.of("home_height", config.home_height, must)
     tallest = max((body.spec.extents[2] for item in scene.objects for body in item.bodies), default=0.0)
@@ -309,10 +290,7 @@ def _check_widths(config: EnvConfig, scene: Scene, parameter: str) -> None:
 
 
 def checked_options(options: Mapping[str, Any] | None, task: Task) -> dict[str, Any]:
-    """Return the options of a reset, of which ``set_state()`` checks a state.
-
-    :raises ValueError: an option is unknown or next to a state, or the task has no structure to start from
-    """
+    """Return the valid options of a reset; ``set_state()`` checks a state."""
     given = {} if options is None else options
     if isinstance(given, Mapping) and "state" in given:
         if len(given) > 1:
@@ -336,10 +314,7 @@ def checked_options(options: Mapping[str, Any] | None, task: Task) -> dict[str, 
 
 
 def checked_slots(slots: Any, task: Task) -> Sequence[ObjectSlot]:
-    """Return the object slots of a task's ``bodies()``.
-
-    :raises ValueError: they are something else, or two have the same name
-    """
+    """Return the valid object slots of a task's ``bodies()``."""
     must = f"bodies() of {type(task).__name__} must return"
     if not isinstance(slots, Sequence) or not all(isinstance(slot, ObjectSlot) for slot in slots):
         raise ValueError(f"{must} a list of slots, got {slots!r}")
@@ -358,7 +333,6 @@ def evaluated(task: Task, scene: Scene, ignored: bool) -> dict[str, bool]:
     """Return the predicates of a task and the environment; ``is_success`` is success in a valid scene.
 
     :param ignored: whether the last action changed nothing
-    :raises ValueError: ``"success"`` is missing, or a name is one of the environment's own
     """
     predicates: Any = task.evaluate(scene)
     if not isinstance(predicates, Mapping) or "success" not in predicates or not INFO.isdisjoint(predicates):
@@ -371,10 +345,7 @@ def evaluated(task: Task, scene: Scene, ignored: bool) -> dict[str, bool]:
 
 
 def finite_reward(value: Any, reward: Callable[..., Any]) -> float:
-    """Return a reward as a number.
-
-    :raises ValueError: it is not a finite number
-    """
+    """Return a valid reward as a number."""
     try:
         number = float(value)
     except (TypeError, ValueError):

@@ -96,12 +96,12 @@ def transcript(env, steps=None, *, seed=None, action_seed=0, before_step=lambda 
     return lines
 
 
-def advance(env, seed, steps):
+def advance(env, seed, steps, options=None):
     """Return the state after some steps of the expert; the episode must not have ended.
 
     If each step is an episode, the next one has begun.
     """
-    env.reset(seed=seed)
+    env.reset(seed=seed, options=options)
     for _ in range(steps):
         *_, terminated, truncated, _ = env.step(env.expert_action())
         if env.task.single_step:

@@ -7,6 +7,7 @@ import math
 import pickle
 import sys
 import warnings
+from unittest.mock import patch
 
 import gymnasium
 import numpy as np
@@ -20,7 +21,7 @@ from rollouts import PICKING, advance, digest, finish, idle, make_env, transcrip
 
 from bulletarm_gym.control import DeltaMove
 from bulletarm_gym.demonstrations import json_state
-from bulletarm_gym.geometry import Pose
+from bulletarm_gym.geometry import PlacementError, Pose
 from bulletarm_gym.wrappers import UNLIMITED
 
 MAX_SERVERS = 1024
@@ -46,6 +47,7 @@ def test_contract(env_id):
     assert json_state.loads(json_state.dumps(state)) == state == pickle.loads(pickle.dumps(state))
     expected = digest(core.observe(), core.expert_action()), transcript(core, 2)
     core.set_state(state)
+    assert digest(core.observe(), core.expert_action()) == expected[0] and core.get_state() == state
     assert (digest(core.observe(), core.expert_action()), transcript(core, 2)) == expected
     first = digest(*core.reset(seed=5)), digest(*core.step(core.expert_action()))
     assert (digest(*core.reset(seed=5)), digest(*core.step(core.expert_action()))) == first
@@ -213,6 +215,16 @@ def test_no_step_after_the_end(picking):
         assert picking.get_state() == at_the_end
         picking.reset()
         picking.set_state(at_the_end)
+
+
+def test_no_step_after_a_reset_without_a_scene(make):
+    env = make(PICKING, seed=0)
+    with patch.object(type(env.task), "arrange", side_effect=PlacementError("no room")):
+        with pytest.raises(PlacementError, match="no room"):
+            env.reset()
+    for call in (env.expert_action, env.get_state, lambda: env.step(idle(env))):
+        with pytest.raises(gymnasium.error.ResetNeeded):
+            call()
 
 
 def test_environment_needs_a_reset_and_rejects_calls_after_close():

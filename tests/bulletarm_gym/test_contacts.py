@@ -211,7 +211,7 @@ def test_blocked_pick_retreats_on_its_path(make, monkeypatch):
         move_to(pose, *options)
         heights.append(robot.pose.z)
 
-    monkeypatch.setattr(robot, "move_to", watched)
+    monkeypatch.setattr(env.control.robot, "move_to", watched)
     finger = (robot.model.gripper.stroke + robot.model.gripper.finger[0]) / 2.0
     env.scene.begin()
     env.control.apply(PickPlace("pick", (0.45 - finger, 0.0, 0.02)))

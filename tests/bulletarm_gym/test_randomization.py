@@ -2,7 +2,6 @@
 
 import itertools
 import math
-import pickle
 import re
 from contextlib import closing
 from dataclasses import fields
@@ -14,7 +13,6 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from rollouts import PICKING, TYPICAL, advance, digest, is_open_loop, make_env, transcript
 
-from bulletarm_gym.demonstrations import json_state
 from bulletarm_gym.observations.depth_noise import measured_depths
 from bulletarm_gym.randomization import NAMES, PRESETS, Randomization
 from bulletarm_gym.simulation.state import Properties
@@ -206,34 +204,12 @@ def test_action_noise_spares_the_opening(make):
     assert np.allclose(openings, 1.0, atol=0.01)
 
 
-def check_exactness(make, env_id, steps=4, **parameters):
-    """Check determinism, states in another instance, JSON and pickles."""
-    parameters = {"obs_size": 32, **parameters}
-    env, other = (make(env_id, number, randomization="real", **parameters) for number in range(2))
-    expected = transcript(env, steps, seed=3)
-    transcript(other, 1, seed=8)
-    assert transcript(other, steps, seed=3) == expected
-    state = advance(env, 5, 1)
-    assert digest(env.observe()) == digest(env.observe())
-    copied = pickle.loads(pickle.dumps(env))
-    expected = [digest(env.observe()), *transcript(env, steps)]
-    other.reset(seed=1)
-    other.set_state(json_state.loads(json_state.dumps(state)))
-    for one in (other, copied):
-        assert [digest(one.observe()), *transcript(one, steps)] == expected
-    plain = make_env(env_id, **parameters)
-    plain.set_state(state)
-    assert [digest(plain.observe()), transcript(plain, 1)[0]] == expected[:2]
-
-
-def test_real_randomization_is_exact(make, typical_id):
-    check_exactness(make, typical_id)
-    check_env(make(typical_id, randomization="real", obs_size=32), skip_render_check=True)
-
-
-def test_all_cameras_are_exact(make):
-    cameras = [{"name": "rgb", "size": 32}, {"name": "depth", "size": 32}, {"name": "point_cloud"}]
-    check_exactness(make, PICKING, steps=1, view="point_cloud", observation=["heightmap", *cameras])
+def test_a_randomized_state_continues_without_the_parameter(make, typical_id):
+    env, plain = make(typical_id, obs_size=32, randomization="real"), make(typical_id, obs_size=32)
+    check_env(env, skip_render_check=True)
+    plain.set_state(advance(env, 5, 1))
+    assert digest(plain.observe()) == digest(env.observe())
+    assert transcript(plain, 1)[0] == transcript(env, 1)[0]
 
 
 def test_resets_with_random_ranges(typical_id):

@@ -88,22 +88,6 @@ def test_progress_rewards_the_expert_and_punishes_lost_progress(make):
     assert terminated and not info["is_valid"] and reward < 0.0
 
 
-@pytest.mark.parametrize("env_id", IDS)
-def test_shaped_rewards_follow_from_the_state(make, env_id):
-    """Also in another instance, in a copy, and if the state was set between two steps."""
-    env, other = make(env_id, **SENSORS), make(env_id, 1, **SENSORS)
-    env.reset(seed=1)
-    env.step(env.expert_action())
-    state, action = env.get_state(), env.expert_action()
-    reward = env.step(action)[1]
-    other.reset(seed=9)
-    other.set_state(state)
-    assert other.step(action)[1] == reward
-    env.reset(options={"state": state})
-    copy = pickle.loads(pickle.dumps(env))
-    assert copy.step(action)[1] == env.step(action)[1] == reward
-
-
 @pytest.mark.slow
 def test_expert_makes_progress_in_every_task(env_id):
     env = make_env(env_id, **SENSORS)

@@ -26,14 +26,22 @@ from bulletarm_gym.tasks.picking import BlockPicking
 PULLING = "BulletArm/CloseLoopBlockPulling-v0"
 GRASPING = "BulletArm/CloseLoopObjectGrasping-v0"
 STACKING = "BulletArm/OpenLoopBlockStacking-v0"
+CLOSE_STACKING = "BulletArm/CloseLoopBlockStacking-v0"
 SEED = 3
 OTHER = {"fast_mode": False, "object_scale_range": [0.7, 0.9]}
+REAL = {"randomization": "real", "obs_size": 32}
+CAMERAS = ["heightmap", "point_cloud", *({"name": name, "size": 32} for name in ("rgb", "depth"))]
+SHAPED = {"observation": ["holding"], "reward": "progress"}
 CASES = [
     *((PICKING, 0, {}), (PICKING, 6, {}), (PICKING, 6, OTHER), (PULLING, 5, {})),
     *((env_id, 1, {}) for env_id in TYPICAL if env_id != PICKING),
+    *((env_id, 1, REAL) for env_id in TYPICAL),
+    (PICKING, 1, {**REAL, "view": "point_cloud", "observation": CAMERAS}),
+    *((env_id, 1, SHAPED) for env_id in (PICKING, CLOSE_STACKING, TYPICAL[0])),
+    (CLOSE_STACKING, 1, {"num_objects": 3}, {"num_objects": 2}),
+    (TYPICAL[2], 1, {"object_scale_range": [0.5, 0.6]}, {"num_objects": 2, "object_scale_range": 0.5}),
 ]
-"""Ids, numbers of the expert's steps, mid-grasp and mid-push among them, and parameters."""
-REAL = {"randomization": "real", "obs_size": 32}
+"""Ids, numbers of the expert's steps, mid-grasp and mid-push among them, parameters, options of the reset."""
 
 
 def name_of(case):
@@ -94,16 +102,17 @@ def test_rendering_and_queries_change_nothing(make, typical_id):
 
 @pytest.mark.parametrize("case", CASES, ids=name_of)
 def test_state_is_exact(make, case):
-    env_id, moment, parameters = case
+    env_id, moment, parameters, *options = case
     env, other = (make(env_id, instance, **parameters) for instance in range(2))
-    state = advance(env, SEED, moment)
+    state = advance(env, SEED, moment, *options)
     frozen = pickle.dumps(state)
     expected = transcript(env, 6)
     env.set_state(state)
     assert transcript(env, 6) == expected, "in the same instance"
-    other.set_state(pickle.loads(frozen))
-    assert other.get_state() == state
-    assert transcript(other, 6) == expected, "in another instance"
+    for copied in (pickle.loads(frozen), json_state.loads(json_state.dumps(state))):
+        other.set_state(copied)
+        assert other.get_state() == state
+        assert transcript(other, 6) == expected, "in another instance"
     for each in (env, other):
         each.set_state(state)
     assert digest(*env.reset()) == digest(*other.reset()), "the next episode"

@@ -225,7 +225,7 @@ def test_mistake_of_a_task_is_named():
     for name, value, message in (
         *(
             ("instructions", value, r"^instructions of BlockShaking must be .*, got ")
-            for value in ("Lift it.", ("Lift {what}.",), (3,))
+            for value in ("Lift it.", ("Lift {what}.",), ("Lift {surface.what}.",), (3,))
         ),
         ("bodies", lambda task, config: None, r"bodies\(\) of BlockShaking must"),
         ("bodies", lambda *arguments: 2 * BlockPicking.bodies(*arguments), r"bodies\(\) of .* must"),
