@@ -45,11 +45,6 @@ def reaches(model: RobotModel, pose: Pose) -> bool:
     return model.inverse(pose)[1] <= POSITION_TOLERANCE
 
 
-def reach_share(model: RobotModel, poses: Iterable[Pose]) -> float:
-    """Return the fraction of poses in reach."""
-    return float(np.mean([reaches(model, pose) for pose in poses]))
-
-
 def grid(limits: Limits, heights: Sequence[float], points: int, tilt: float = 0.0) -> Iterator[Pose]:
     """Yield a grid of tool poses at three yaws, upright or tilted (rad) in eight directions.
 
@@ -190,7 +185,7 @@ def _reach(name: str, upright: list[Solution], tilted: list[Solution]) -> Findin
         f"{share:.0%} in reach upright (at least {MIN_REACH:.0%}), {tilted_share:.0%} tilted by 30 "
         f"degrees (at least {MIN_TILTED_REACH:.0%})"
     )
-    advice = "change base or posture (tools/reach.py compares bases), or pass a smaller workspace"
+    advice = "change base or posture, or pass a smaller workspace"
     is_small = share < MIN_REACH or tilted_share < MIN_TILTED_REACH
     return Finding(f"reach, {name}", value, advice if is_small else "", bool(share < MIN_REACH))
 

@@ -37,12 +37,6 @@ def path_length(start: Pose, end: Pose) -> float:
     return max(math.dist(start.position, end.position), YAW_RADIUS * yaw, TILT_RADIUS * tilt)
 
 
-def is_straight(start: Pose, middle: Pose, end: Pose) -> bool:
-    """Return True if the middle of a motion is near the straight line between its ends."""
-    off = math.dist(middle.position, interpolate(start, end, 0.5).position)
-    return off < MAX_SAG * path_length(start, end)
-
-
 def transfer_stops(start: Pose, end: Pose) -> Iterator[Pose]:
     """Yield the poses of a path up, across and down, in steps of at most :data:`REFERENCE_DISTANCE`."""
     level = max(start.z, end.z, TRANSFER_HEIGHT)
@@ -204,10 +198,13 @@ class Arm:
         return self._is_straight(pose, goal) or self.wrist_room(pose) > self.wrist_room()
 
     def _is_straight(self, pose: Pose, goal: Sequence[float]) -> bool:
+        """Return True if the middle of a joint motion is near the straight line to a pose."""
         now = self.joint_positions
         if max(_changes(now[:-1], goal[:-1])) < STRAIGHT_JOINT_CHANGE:
             return True
-        return is_straight(self.pose, self.model.chain.forward((np.array(now) + goal) / 2.0), pose)
+        middle = self.model.chain.forward((np.array(now) + goal) / 2.0)
+        off = math.dist(middle.position, interpolate(self.pose, pose, 0.5).position)
+        return off < MAX_SAG * path_length(self.pose, pose)
 
     def wrist_room(self, pose: Pose | None = None) -> float:
         """Return the distance (rad) of the last joint from its nearer limit, now or at a pose in reach."""

@@ -15,16 +15,12 @@ from bulletarm_gym.simulation.urdf import (
     add_material,
     children_of,
     end_of,
-    find_joint,
-    find_link,
+    find,
     find_root,
     number_of,
     pose_at,
     text_of,
 )
-
-FINGER_EFFORT, FINGER_SPEED = 50.0, 1.0
-"""Limits (N, m/s) of a finger on a slide in the URDF. The gripper has its own."""
 
 
 def joints_below(root: Element, link: str) -> list[Element]:
@@ -44,7 +40,7 @@ def without(root: Element, *links: str) -> Element:
     :raises ValueError: the model has no such link
     """
     for name in links:
-        link = find_link(root, name)
+        link = find(root, "link", name)
         _remove_attached(root, name)
         for joint in [joint for joint in root.findall("joint") if end_of(joint, "child") == name]:
             root.remove(joint)
@@ -57,7 +53,7 @@ def _remove_attached(root: Element, link: str, kept: tuple[str, ...] = ()) -> No
     for joint in joints_below(root, link):
         root.remove(joint)
         if (child := end_of(joint, "child")) not in kept:
-            root.remove(find_link(root, child))
+            root.remove(find(root, "link", child))
 
 
 def check_element(name: str, value: object) -> None:
@@ -77,7 +73,7 @@ def attach(root: Element, link: str, other: Element, mount: Pose) -> Element:
     :raises ValueError: there is no such link, or ``other`` is not the element ``<robot>``
     """
     check_element("other", other)
-    find_link(root, link)
+    find(root, "link", link)
     base = find_root(other).get("name", "")
     materials = {material.get("name") for material in root.findall("material")}
     root.extend(material for material in other.findall("material") if material.get("name") not in materials)
@@ -103,8 +99,8 @@ def on_slides(
     :raises ValueError: a joint or the carrier is missing or not attached, or ``opened`` does not open the
         fingers
     """
-    find_link(root, carrier)
-    children = tuple(end_of(find_joint(root, name), "child") for name in fingers)
+    find(root, "link", carrier)
+    children = tuple(end_of(find(root, "joint", name), "child") for name in fingers)
     met = [_pose_in(root, carrier, child, closed) for child in children]
     apart = [_pose_in(root, carrier, child, opened) for child in children]
     across = np.subtract(apart[0].position, apart[1].position)
@@ -119,9 +115,8 @@ def on_slides(
                 f'got {opened:g}. Add <mimic multiplier="-1"/> to a joint that moves against the driving one.'
             )
         axis = rotate(conjugate(met[index].orientation), (x, y, z))
-        links, limits = (carrier, children[index]), (0.0, travel)
-        kind, name = "prismatic", fingers[index]
-        add_joint(root, kind, name, links, met[index], axis, limits, FINGER_EFFORT, FINGER_SPEED)
+        links = (carrier, children[index])
+        add_joint(root, "prismatic", fingers[index], links, met[index], axis, (0.0, travel))
     return root
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from bulletarm_gym.geometry import Pose, Vector, euler_pose
 from bulletarm_gym.robots.editing import DARK, LIGHT, RGB, Primitive, add_link, box, joints_below
-from bulletarm_gym.simulation.urdf import add_joint, find_link
+from bulletarm_gym.simulation.urdf import add_joint, find
 
 FINGER_MASS = 0.05
 """Mass (kg) of a finger of a :class:`ParallelJaw`."""
@@ -121,7 +121,7 @@ class ParallelJaw(Gripper):
         :raises ValueError: the model has no such link, or the link carries a gripper
         """
         root = arm()
-        carrier = find_link(root, link)
+        carrier = find(root, "link", link)
         for joint in joints_below(root, link):
             if joint.get("type") != "fixed":
                 raise ValueError(

@@ -15,7 +15,7 @@ import numpy as np
 
 from bulletarm_gym.geometry import FloatArray, Pose, matrix, quaternion
 from bulletarm_gym.geometry.compilation import compiled
-from bulletarm_gym.simulation.urdf import axis_of, find_joint, frame_of, limits_of
+from bulletarm_gym.simulation.urdf import axis_of, find, frame_of, limits_of
 
 MAX_ITERATIONS = 80
 TOLERANCE = 1e-9
@@ -64,7 +64,7 @@ class Chain:
         :param tool: tool frame in the last link
         :raises ValueError: the model has no joint of a name
         """
-        elements = [find_joint(root, name) for name in joints]
+        elements = [find(root, "joint", name) for name in joints]
         first, *others = map(frame_of, elements)
         frames = [base.compose(first), *others, tool]
         axes = np.array([axis_of(element) for element in elements])

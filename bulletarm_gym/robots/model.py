@@ -17,7 +17,7 @@ from bulletarm_gym.robots.kinematics import Chain, Frames, advance, apply, dot, 
 from bulletarm_gym.robots.structure import prepare
 from bulletarm_gym.simulation import Body
 from bulletarm_gym.simulation.motion import RISE
-from bulletarm_gym.simulation.urdf import find_joint, find_root, to_text
+from bulletarm_gym.simulation.urdf import find, find_root, to_text
 from bulletarm_gym.simulation.world import GRAVITY, TIME_STEP
 
 PLINTH_RADIUS = 0.09
@@ -39,7 +39,7 @@ class RobotModel:
     :param tool: tool frame between the fingertips in the link of the last joint; z points back to the arm, x
         is the opening direction
     :param gripper: the gripper in the URDF
-    :param base: pose of the arm's base in the world; ``tools/reach.py`` compares the reach of bases
+    :param base: pose of the arm's base in the world
     :param posture: joint positions (rad) from which inverse kinematics starts: gripper down, elbow up, in
         front of the base
     :param force: maximum torque (N m) of each joint, or one value for all joints
@@ -163,7 +163,7 @@ class RobotModel:
         """
         root = copy.deepcopy(self.urdf)
         for name in self.joints:
-            find_joint(root, name).set("type", "continuous")
+            find(root, "joint", name).set("type", "continuous")
         return to_text(root)
 
 

@@ -7,7 +7,7 @@ from bulletarm_gym.geometry import Pose, euler_pose
 from bulletarm_gym.robots.editing import LIGHT, box
 from bulletarm_gym.robots.gripper import Gripper
 from bulletarm_gym.robots.model import RobotModel
-from bulletarm_gym.simulation.urdf import find_joint, find_link, load_model
+from bulletarm_gym.simulation.urdf import find, load_model
 
 FINGERTIPS = 0.107 + 0.0584 + 0.0538
 """Distance (m) from the last link's origin to the fingertips: flange, finger mount, and finger mesh."""
@@ -31,9 +31,9 @@ LIMITS = (
 def _load() -> Element:
     root = load_model("franka_panda/panda.urdf")
     for name, lower, upper in zip(JOINTS, *LIMITS, strict=True):
-        find_joint(root, name).findall("limit")[0].attrib.update(lower=repr(lower), upper=repr(upper))
+        find(root, "joint", name).findall("limit")[0].attrib.update(lower=repr(lower), upper=repr(upper))
     for name, yaw in zip(FINGERS, (0.0, math.pi), strict=True):
-        finger = find_link(root, name)
+        finger = find(root, "link", name)
         # Boxes have four contact points a face, and no soft contacts, as the grippers of the other arms.
         for element in [*finger.findall("collision"), *finger.findall("contact")]:
             finger.remove(element)

@@ -13,8 +13,7 @@ from bulletarm_gym.simulation.urdf import (
     axis_of,
     children_of,
     end_of,
-    find_joint,
-    find_link,
+    find,
     find_root,
     frame_of,
     limits_of,
@@ -56,7 +55,7 @@ def prepare(root: Element, joints: Sequence[str], gripper: Gripper, tool: Pose) 
         _require(not unknown, f"<geometry> must be one of {', '.join(sorted(SHAPES))}, got {got}")
     kinds = {**dict.fromkeys(joints, ROTATING), **dict.fromkeys(gripper.joints, SLIDING)}
     for name, allowed in kinds.items():
-        _check_joint(find_joint(root, name), allowed)
+        _check_joint(find(root, "joint", name), allowed)
     for joint in root.findall("joint"):
         _check_coupling(joint, joints, gripper.joints)
         if joint.get("name") in kinds:
@@ -65,7 +64,7 @@ def prepare(root: Element, joints: Sequence[str], gripper: Gripper, tool: Pose) 
             _fix(joint)
     merge_fixed(root)
     _check_chain(root, joints, gripper.joints)
-    _check_fingers([find_joint(root, name) for name in gripper.joints], gripper, tool)
+    _check_fingers([find(root, "joint", name) for name in gripper.joints], gripper, tool)
 
 
 def _require(is_valid: bool, message: str) -> None:
@@ -116,7 +115,7 @@ def _normalize_axis(joint: Element) -> None:
 def merge_fixed(root: Element) -> None:
     """Merge links on fixed joints into their parents. Bullet simulates them as slowly as moving links."""
     for joint in root.findall("joint[@type='fixed']"):
-        parent, child = (find_link(root, end_of(joint, end)) for end in ("parent", "child"))
+        parent, child = (find(root, "link", end_of(joint, end)) for end in ("parent", "child"))
         mount = frame_of(joint)
         _add_mass(parent, child, mount)
         shapes = [*child.findall("visual"), *child.findall("collision")]
@@ -153,8 +152,8 @@ def _check_chain(root: Element, joints: Sequence[str], fingers: Sequence[str]) -
     """Check that the joints form a chain from the base to a link that carries the fingers."""
     last = find_root(root).get("name", "")
     for name in (*joints, *fingers):
-        joint = find_joint(root, name)
-        parent, link = end_of(joint, "parent"), find_link(root, end_of(joint, "child"))
+        joint = find(root, "joint", name)
+        parent, link = end_of(joint, "parent"), find(root, "link", end_of(joint, "child"))
         got = f"{name!r}, which is attached to the link {parent!r} instead of {last!r}"
         _require(parent == last, f"joints must be a chain from the base to the gripper, got {got}")
         mass, of = mass_of(link), f"of link {link.get('name')!r}"

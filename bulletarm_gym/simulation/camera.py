@@ -124,20 +124,14 @@ class Camera:
         distances: FloatArray = self.far * self.near / (self.far - (self.far - self.near) * buffer)
         return distances
 
-    def _projection(self, world: World) -> list[float]:
-        """Return the projection matrix of OpenGL, column by column.
-
-        TinyRenderer samples pixel (column, row) at (column, row + 1) of an image whose first pixel spans 0
-        to 1. The projection shifts the image by half a pixel, so that it samples the centre of each pixel.
-        """
-        aspect = self.width / self.height
-        matrix = list(world.client.computeProjectionMatrixFOV(self.fov, aspect, self.near, self.far))
-        matrix[8] += 1.0 / self.width
-        matrix[9] += 1.0 / self.height
-        return matrix
-
     def _render(self, world: World, shadow: bool = False) -> tuple[Any, ...]:
         client, optics = world.client, world.optics
+        # TinyRenderer samples pixel (column, row) at (column, row + 1) of an image whose first pixel spans 0
+        # to 1. A shift by half a pixel makes it sample the centre of each pixel.
+        aspect = self.width / self.height
+        projection = list(client.computeProjectionMatrixFOV(self.fov, aspect, self.near, self.far))
+        projection[8] += 1.0 / self.width
+        projection[9] += 1.0 / self.height
         view, light = client.computeViewMatrix(self.eye, self.target, self._up), {}
         if optics != NOMINAL:
             view = (OPENGL_AXES @ optics.camera_error @ self.extrinsics).T.ravel().tolist()
@@ -146,17 +140,13 @@ class Camera:
             self.width,
             self.height,
             view,
-            self._projection(world),
+            projection,
             **light,
             lightDirection=[default + change for default, change in zip(LIGHT, optics.light, strict=True)],
             shadow=int(shadow),
             renderer=client.ER_TINY_RENDERER,
         )
         return image
-
-
-Segment = tuple[Vector, Vector]
-"""Start and end (m) of a line."""
 
 
 def look(world: World, eye: Vector, target: Vector) -> None:
@@ -193,9 +183,12 @@ class Keyboard:
         return [chr(key) for key in pressed if chr(key).isascii() and chr(key).isprintable()]
 
 
-def draw_segments(world: World, segments: Sequence[Segment], replaced: Sequence[int] = ()) -> list[int]:
-    """Draw orange lines (m, world), 3 pixels wide, in the window, in place of earlier lines.
+def draw_segments(
+    world: World, segments: Sequence[tuple[Vector, Vector]], replaced: Sequence[int] = ()
+) -> list[int]:
+    """Draw orange lines, 3 pixels wide, in the window, in place of earlier lines.
 
+    :param segments: start and end (m, world) of each line
     :param replaced: return value of the last call
     :return: numbers of the lines
     """

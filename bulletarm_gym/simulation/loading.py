@@ -19,7 +19,6 @@ from bulletarm_gym.simulation.shapes import (
     Convex,
     Hinge,
     Piece,
-    flat_normals,
     is_ascii_stl,
     stl_corners,
     wavefront,
@@ -240,10 +239,13 @@ def _visual_shape(client: Client, spec: BodySpec) -> int:
 
 @cache
 def _mesh_arguments(triangles: bytes) -> dict[str, list[Any]]:
-    """Return PyBullet's arguments for float64 triangles (m).
+    """Return PyBullet's arguments for float64 triangles (m), with normals that render edges sharp.
 
     The lists are cached because PyBullet never releases them: new lists for every body would leak memory.
     """
-    corners = np.frombuffer(triangles).reshape(-1, 3)
-    normals = flat_normals(corners.reshape(-1, 3, 3))
-    return {"vertices": corners.tolist(), "indices": list(range(len(corners))), "normals": normals}
+    corners = np.frombuffer(triangles).reshape(-1, 3, 3)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    vertices = corners.reshape(-1, 3).tolist()
+    indices = list(range(len(vertices)))
+    return {"vertices": vertices, "indices": indices, "normals": np.repeat(normals, 3, axis=0).tolist()}

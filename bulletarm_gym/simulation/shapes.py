@@ -4,7 +4,7 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from typing import TypeAlias
@@ -221,14 +221,6 @@ def wavefront(pieces: Sequence[Piece]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def flat_normals(triangles: FloatArray) -> list[list[float]]:
-    """Return a normal for each corner of (n, 3, 3) triangles, so that edges are rendered sharp."""
-    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    corners: list[list[float]] = np.repeat(normals, 3, axis=0).tolist()
-    return corners
-
-
 STL_HEADER, STL_FACET = 84, 50
 """Number of bytes before the first facet of a binary STL file, and of each facet."""
 VERTEX = re.compile(rb"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", re.IGNORECASE)
@@ -241,16 +233,9 @@ def check_mesh(path: Path) -> None:
     :raises ValueError: the mesh cannot be loaded; the message contains the file and the reason
     """
     try:
-        status = path.stat()
-        _check_version(path, status.st_mtime_ns, status.st_size)
+        (_check_collada if path.suffix.lower() == ".dae" else mesh_parts)(path)
     except (ValueError, OSError, ElementTree.ParseError) as error:
         raise ValueError(f"mesh must be a readable OBJ, STL or COLLADA file, got {path}: {error}") from error
-
-
-@lru_cache(maxsize=1024)
-def _check_version(path: Path, modified: int, size: int) -> None:
-    check = _check_collada if path.suffix.lower() == ".dae" else mesh_parts
-    check(path)
 
 
 def mesh_parts(path: Path) -> list[tuple[str, FloatArray]]:

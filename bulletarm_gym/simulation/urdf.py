@@ -50,19 +50,10 @@ def parse_urdf(path: Path) -> Element:
         raise ValueError(f"{must}whose root element is <{root.tag}>. Convert it to URDF.")
     if any("quat_xyzw" in element.attrib for element in root.iter("origin")):
         raise ValueError(f"origins must have rpy angles, got quat_xyzw of URDF 1.1 in {path}")
-    _remove_extensions(root)
+    for element in list(root.iter()):
+        element.attrib = {name: value for name, value in element.attrib.items() if ":" not in name}
+        element[:] = [child for child in element if ":" not in child.tag]
     return root
-
-
-def _remove_extensions(element: Element) -> None:
-    """Remove elements and attributes with a prefix, such as ``drake:``."""
-    for name in [name for name in element.attrib if ":" in name]:
-        del element.attrib[name]
-    for child in list(element):
-        if ":" in child.tag:
-            element.remove(child)
-        else:
-            _remove_extensions(child)
 
 
 def read_urdf(path: str | PathLike[str], check_meshes: bool = True) -> Element:
@@ -75,10 +66,10 @@ def read_urdf(path: str | PathLike[str], check_meshes: bool = True) -> Element:
     file = Path(path).absolute()
     root = parse_urdf(file)
     for mesh in root.iter("mesh"):
-        found = mesh_path(mesh.get("filename", ""), file.parent)
-        mesh.set("filename", str(found))
-        if check_meshes:
-            check_mesh(found)
+        mesh.set("filename", str(mesh_path(mesh.get("filename", ""), file.parent)))
+    if check_meshes:
+        for name in dict.fromkeys(mesh.get("filename", "") for mesh in root.iter("mesh")):
+            check_mesh(Path(name))
     return root
 
 
@@ -113,17 +104,8 @@ def to_text(root: Element) -> str:
 # Reading elements
 
 
-def find_link(root: Element, name: str) -> Element:
-    """Return a link by name, or raise ValueError."""
-    return _find(root, "link", name)
-
-
-def find_joint(root: Element, name: str) -> Element:
-    """Return a joint by name, or raise ValueError."""
-    return _find(root, "joint", name)
-
-
-def _find(root: Element, tag: str, name: str) -> Element:
+def find(root: Element, tag: str, name: str) -> Element:
+    """Return the ``"link"`` or ``"joint"`` of a name, or raise ValueError."""
     for element in root.findall(tag):  # an XPath cannot contain a name with quotes
         if element.get("name") == name:
             return element

@@ -19,6 +19,7 @@ from bulletarm_gym.simulation.state import (
     STILL,
     Body,
     Contact,
+    Link,
     Physics,
     Properties,
     Twist,
@@ -85,21 +86,19 @@ class World:
         self._check_unsealed()
         load = load_jointed if spec.parts else load_rigid
         body_id = load(self.client, spec, self.physics.damping)
-        return self._register(Body(len(self.bodies), body_id, spec, tuple(range(len(spec.parts)))), pose)
+        return self._register(body_id, spec, pose, len(spec.parts))
 
     def add_plane(self, spec: BodySpec) -> Body:
         """Load the infinite ground at z = 0 with the name, friction and visual shape of a specification."""
         self._check_unsealed()
-        body_id = load_plane(self.client, spec)
-        self._ground = self._register(Body(len(self.bodies), body_id, spec), ORIGIN)
+        self._ground = self._register(load_plane(self.client, spec), spec, ORIGIN)
         return self._ground
 
     def add_urdf(self, spec: BodySpec, xml: str, pose: Pose) -> Body:
         """Load a body with joints, fixed to the world, from a URDF without fixed joints."""
         self._check_unsealed()
         body_id, links = load_urdf(self.client, spec.name, xml, pose)
-        joints = tuple(range(len(links)))
-        return self._register(Body(len(self.bodies), body_id, spec, joints, links), pose)
+        return self._register(body_id, spec, pose, len(links), links)
 
     def seal(self) -> None:
         """Take the snapshot for :meth:`begin`. No body can be loaded afterwards."""
@@ -110,9 +109,12 @@ class World:
         if self._snapshot is not None:
             raise RuntimeError("the world is sealed: bodies are loaded once, before the first reset")
 
-    def _register(self, body: Body, pose: Pose | None) -> Body:
+    def _register(
+        self, body_id: int, spec: BodySpec, pose: Pose | None, joints: int = 0, links: tuple[Link, ...] = ()
+    ) -> Body:
+        body = Body(len(self.bodies), body_id, spec, tuple(range(joints)), links)
         self.bodies.append(body)
-        self._by_id[body.id] = body
+        self._by_id[body_id] = body
         self.poses.append(pose or Pose((float(body.index), 0.0, PARKING_HEIGHT)))
         self.twists.append(STILL)
         self.active.append(pose is not None)

@@ -16,7 +16,7 @@ from bulletarm_gym.check.robot import check_robot
 from bulletarm_gym.geometry import Pose, euler_pose
 from bulletarm_gym.robots import ROBOTS
 from bulletarm_gym.robots.editing import LIGHT, box
-from bulletarm_gym.simulation.urdf import find_link
+from bulletarm_gym.simulation.urdf import find
 
 REACHING = "BulletArm/CloseLoopBlockReaching-v0"
 
@@ -124,7 +124,7 @@ def flipped():
 def bulky():
     """Return the URDF of the small arm with a box on the gripper that reaches the upper arm."""
     root = SMALL.load()
-    box((0.4, 0.4, 0.2), (0.0, 0.0, -0.1), LIGHT).add_to(find_link(root, "roll"))
+    box((0.4, 0.4, 0.2), (0.0, 0.0, -0.1), LIGHT).add_to(find(root, "link", "roll"))
     return root
 
 

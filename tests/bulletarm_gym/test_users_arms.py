@@ -18,7 +18,7 @@ from bulletarm_gym.robots import KUKA, PANDA, ROBOTS, Gripper, ParallelJaw, Robo
 from bulletarm_gym.robots.editing import LIGHT, add_link, attach, box, on_slides, without
 from bulletarm_gym.simulation.client import Client
 from bulletarm_gym.simulation.loading import load_urdf
-from bulletarm_gym.simulation.urdf import add_joint, find_joint, frame_of, read_urdf, to_text
+from bulletarm_gym.simulation.urdf import add_joint, find, frame_of, read_urdf, to_text
 
 ORIGIN = Pose((0.0, 0.0, 0.0))
 FINGERS = ("left_finger_joint", "right_finger_joint")
@@ -127,7 +127,7 @@ def drop(name, tag):
 
 def mimic(name, source):
     """Return a change that couples a joint to another."""
-    return lambda root: SubElement(find_joint(root, name), "mimic", joint=source, multiplier="0.5")
+    return lambda root: SubElement(find(root, "joint", name), "mimic", joint=source, multiplier="0.5")
 
 
 def rod(root):
@@ -224,7 +224,7 @@ def test_on_slides_keeps_fixed_joints_and_moves_prismatic_fingers():
     root = on_slides(ElementTree.fromstring(SLIDES), "palm", ("l", "r"), closed=0.021, opened=0.057)
     offset = 0.021 * np.array((-math.sin(0.5), math.cos(0.5), 0.0))
     for name, sign in (("l", 1.0), ("r", -1.0)):
-        joint = find_joint(root, name)
+        joint = find(root, "joint", name)
         assert frame_of(joint).position == pytest.approx(((0.1, 0.0, 0.0) + sign * offset).tolist())
         axis = [float(part) for part in joint.findall("axis")[0].get("xyz", "").split()]
         assert axis == pytest.approx((0.0, sign, 0.0))
@@ -275,7 +275,7 @@ def test_attach_joins_the_models_of_an_arm_and_a_gripper():
     mount = euler_pose((0.0, 0.0, 0.0), (0.0, 0.0, -math.pi / 4.0))
     joined = attach(bare_panda(), "panda_link8", hand, mount)
     model = replace(PANDA, load=lambda: joined)
-    origins = [frame_of(find_joint(one.urdf, PANDA.gripper.joints[0])) for one in (PANDA, model)]
+    origins = [frame_of(find(one.urdf, "joint", PANDA.gripper.joints[0])) for one in (PANDA, model)]
     assert origins[1].position == pytest.approx(origins[0].position, abs=1e-4)
     with pytest.raises(ValueError, match="<robot>"):
         attach(KUKA.load(), "lbr_iiwa_link_7", "gripper.urdf", ORIGIN)
