@@ -36,6 +36,8 @@ FORMAT = 1
 """Version of the file format."""
 HEIGHT = 1e-4
 """Length (m) of a count of stored heights."""
+UNIT = "metres_per_count"
+"""Attribute of stored heights with this length."""
 HEIGHTS = ("heightmap", "in_hand")
 """Observations in metres."""
 TOLERANCE = HEIGHT / 2.0 + 1e-6
@@ -73,7 +75,6 @@ class Episode:
     initial_state: str
 
     def __len__(self) -> int:
-        """Return the number of steps."""
         return len(self.actions)
 
     @cached_property
@@ -148,7 +149,6 @@ class Demonstrations(Sequence[Episode]):
             temporary.write_bytes(self.image)
 
     def __len__(self) -> int:
-        """Return the number of episodes."""
         return self._count
 
     @overload
@@ -198,7 +198,6 @@ class Recorder:
         """Number of episodes that were begun."""
 
     def __len__(self) -> int:
-        """Return the number of episodes."""
         return len(self._episodes)
 
     def add(self, episode: Episode | None) -> None:
@@ -261,12 +260,16 @@ def _write_observations(group: h5py.Group, key: str, values: NDArray[Any]) -> No
         group.create_dataset(key, data=values, **PACKED)
         return
     counts = np.rint(values / HEIGHT).astype(np.uint16)
-    group.create_dataset(key, data=counts, **PACKED).attrs["metres_per_count"] = HEIGHT
+    group.create_dataset(key, data=counts, **PACKED).attrs[UNIT] = HEIGHT
 
 
 def _read(group: h5py.Group) -> Episode:
     return Episode(
-        {key: _read_observations(dataset) for key, dataset in group["observations"].items()},
+        {
+            # Heights are the stored counts times the unit.
+            key: (dataset[()] * unit).astype(np.float32) if (unit := dataset.attrs.get(UNIT)) else dataset[()]
+            for key, dataset in group["observations"].items()
+        },
         group["actions"][()],
         group["rewards"][()],
         group["terminations"][()],
@@ -274,12 +277,6 @@ def _read(group: h5py.Group) -> Episode:
         int(group["seed"][()]) if "seed" in group else None,
         group["initial_state"][()].tobytes().decode(),
     )
-
-
-def _read_observations(dataset: h5py.Dataset) -> NDArray[Any]:
-    stored: NDArray[Any] = dataset[()]
-    unit = dataset.attrs.get("metres_per_count")
-    return stored if unit is None else (stored * unit).astype(np.float32)
 
 
 def load(path: str | os.PathLike[str], object_set: str | os.PathLike[str] | None = None) -> Demonstrations:

@@ -130,7 +130,9 @@ def frames(
     :param observations: the n + 1 observations of :func:`observations`
     """
     for step, observation in zip(range(len(episode)), observations, strict=False):
-        yield {**observation, **_outcomes(episode, step)}
+        end = np.array([step + 1 == len(episode)])  # all episodes are successful
+        outcomes = {"next.reward": episode.rewards[step, None], "next.done": end, "next.success": end}
+        yield {**observation, "action": episode.actions[step], **outcomes}
 
 
 def observations(
@@ -207,13 +209,6 @@ def _recorded(name: str, values: NDArray[Any]) -> tuple[str, NDArray[Any]]:
     is_color = is_image and values.dtype == np.uint8 and len(values) == 3
     prefix = IMAGES if is_color else "observation."
     return prefix + name, np.moveaxis(values, 0, -1) if is_image else values
-
-
-def _outcomes(episode: Episode, step: int) -> dict[str, NDArray[Any]]:
-    """Return the action and its results; all episodes are successful."""
-    end = np.array([step + 1 == len(episode)])
-    rewards = episode.rewards[step, None]
-    return {"action": episode.actions[step], "next.reward": rewards, "next.done": end, "next.success": end}
 
 
 @contextmanager

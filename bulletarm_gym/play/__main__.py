@@ -48,8 +48,6 @@ class Teleoperation:
 
     With a closed-loop control each key is a step, and the gripper keeps its opening. With an open-loop
     control keys move a target, and :data:`GRIPPER` picks or places at the target.
-
-    :param env: environment in which the actions are carried out
     """
 
     def __init__(self, env: ManipulationEnv) -> None:
@@ -148,12 +146,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 class Game:
-    """Episodes that a person plays.
-
-    :param env: environment; ``render_mode`` "human" selects the keys of the window instead of letters
-    :param folder: folder of the images that are written without a window
-    :param seed: seed of the first episode
-    """
+    """Episodes that a person plays, by keys of the window, or by letters with images in a folder."""
 
     def __init__(self, env: gymnasium.Env[Any, Any], folder: Path, seed: int) -> None:
         self.env, self.folder, self.seed = env, folder, seed

@@ -47,10 +47,9 @@ def transfer_stops(start: Pose, end: Pose) -> Iterator[Pose]:
 
 
 def motion_steps(length: float, reference_steps: int) -> int:
-    """Return the number of simulation steps of a motion with the acceleration of a reference motion.
+    """Return the number of simulation steps of a motion over a length (m).
 
-    :param length: length (m) of the motion
-    :param reference_steps: number of steps of a motion over :data:`REFERENCE_DISTANCE`
+    :param reference_steps: number of a motion over :data:`REFERENCE_DISTANCE` with the same acceleration
     """
     return max(MIN_STEPS, math.ceil(reference_steps * math.sqrt(length / REFERENCE_DISTANCE)))
 
@@ -123,11 +122,6 @@ class Arm:
         """Pose of a wrist camera at the fingers' roots: z along the approach, x the opening direction."""
         height = self.model.gripper.finger[2]
         return self.pose.compose(Pose((0.0, 0.0, height), (1.0, 0.0, 0.0, 0.0)))
-
-    @property
-    def contacts(self) -> list[Contact]:
-        """Contacts of the robot in the last simulation step; empty after a motion without simulation."""
-        return self.world.contacts(self.body)
 
     @property
     def finger_links(self) -> list[int]:

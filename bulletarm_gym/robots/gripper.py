@@ -64,7 +64,6 @@ class Gripper:
     shoulder: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        """Check the values and convert them to floats."""
         for name in ("stroke", "force", "speed", "friction"):
             set_numbers(self, name, ())
         for name, count in (("finger", 3), ("palm", 3), ("shoulder", 2)):

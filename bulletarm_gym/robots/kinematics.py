@@ -59,11 +59,7 @@ class Chain:
 
     @classmethod
     def from_urdf(cls, root: Element, joints: Sequence[str], base: Pose, tool: Pose) -> "Chain":
-        """Return the chain of named joints of a URDF.
-
-        :param tool: tool frame in the last link
-        :raises ValueError: the model has no joint of a name
-        """
+        """Return the chain of named joints of a URDF and a tool frame in the last link."""
         elements = [find(root, "joint", name) for name in joints]
         first, *others = map(frame_of, elements)
         frames = [base.compose(first), *others, tool]

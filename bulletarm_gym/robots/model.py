@@ -56,7 +56,6 @@ class RobotModel:
     force: float | tuple[float, ...]
 
     def __post_init__(self) -> None:
-        """Check the values and convert sequences to tuples."""
         object.__setattr__(self, "joints", tuple(self.joints))
         set_numbers(self, "posture", (len(self.joints),), "finite")
         set_numbers(self, "force", (len(self.joints),) if np.ndim(self.force) else ())
@@ -201,12 +200,9 @@ class Dynamics:
     def torques(
         self, positions: FloatArray, rates: FloatArray, accelerations: FloatArray, load: float = 0.0
     ) -> FloatArray:
-        """Return the joint torques (n,) N m of a motion under gravity.
+        """Return the joint torques (n,) N m of a motion under gravity with a load (kg) in the gripper.
 
-        :param positions: joint positions (n,) rad
-        :param rates: joint velocities (n,) rad/s
-        :param accelerations: joint accelerations (n,) rad/s^2
-        :param load: mass (kg) of the grasped object
+        Positions, rates and accelerations are (n,) in rad, rad/s and rad/s^2.
         """
         motion = [np.append(values, 0.0) for values in (positions, rates, accelerations)]
         torques: FloatArray = _torques(self._model(load), *motion)[:-1]

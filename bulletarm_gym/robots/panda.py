@@ -18,8 +18,6 @@ PAD = box((0.0175, 0.0143, 0.0358), (0.0, 0.00715, 0.0359), LIGHT)
 """Box around the pad in the mesh of the left finger. Its y axis points outwards, its z axis to the tip."""
 ROOT = box((0.0208, 0.0236, 0.019), (0.0, 0.0145, 0.0095), LIGHT)
 """Box around the rest of this mesh."""
-PALM = (0.204, 0.063, 0.092)
-"""Side lengths (m) of the hull of the palm's mesh, which ends 46.2 mm above the fingertips."""
 JOINTS = tuple(f"panda_joint{number}" for number in range(1, 8))
 LIMITS = (
     (-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973),
@@ -52,7 +50,7 @@ PANDA = RobotModel(
         joints=("panda_finger_joint1", "panda_finger_joint2"),
         stroke=0.08,
         finger=(0.014, 0.0175, 0.0462),
-        palm=PALM,
+        palm=(0.204, 0.063, 0.092),  # the hull of its mesh, which ends 46.2 mm above the fingertips
         shoulder=(0.0263, 0.0538 - 0.019),
     ),
     base=Pose((-0.06, 0.0, 0.0)),

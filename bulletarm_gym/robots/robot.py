@@ -18,17 +18,7 @@ from bulletarm_gym.robots.arm import (
 )
 from bulletarm_gym.robots.kinematics import POSITION_TOLERANCE
 from bulletarm_gym.robots.model import RobotModel
-from bulletarm_gym.simulation import World
-from bulletarm_gym.simulation.motion import (
-    CONTACT_RISE,
-    RISE,
-    JointGroup,
-    drive_fingers,
-    follow,
-    hold,
-    interpolate_path,
-    send_fingers,
-)
+from bulletarm_gym.simulation import World, motion
 from bulletarm_gym.simulation.state import STILL
 
 FREE_STEPS = 16
@@ -101,8 +91,8 @@ class Robot(CollidingArm):
         self._send_targets()
 
     def _send_targets(self) -> None:
-        hold(self.world, self._arm, self.joint_positions)
-        send_fingers(self.world, self._fingers, self._command / 2.0, self.model.gripper.speed)
+        motion.hold(self.world, self._arm, self.joint_positions)
+        motion.send_fingers(self.world, self._fingers, self._command / 2.0, self.model.gripper.speed)
 
     def move_to(self, pose: Pose, in_contact: bool = True, slides: bool = False) -> None:
         """Move to a tool pose. A blocked arm stops.
@@ -161,7 +151,7 @@ class Robot(CollidingArm):
 
     def _follow(self, stops: Sequence[Sequence[float]], length: float, in_contact: bool) -> Vector | None:
         steps, rise = self.duration(stops, length, in_contact and self.held is None)
-        normal = follow(self.world, self._arm, stops, steps, self.held, rise)
+        normal = motion.follow(self.world, self._arm, stops, steps, self.held, rise)
         self._finish()
         return normal
 
@@ -175,7 +165,7 @@ class Robot(CollidingArm):
         :param stops: joint positions (rad) along the motion
         :param length: length (m) of the tool's path
         """
-        pace, rise = (CONTACT_STEPS, CONTACT_RISE) if in_contact else (FREE_STEPS, RISE)
+        pace, rise = (CONTACT_STEPS, motion.CONTACT_RISE) if in_contact else (FREE_STEPS, motion.RISE)
         path = np.array([self.joint_positions, *stops])
         least = self.dynamics.least_steps(path, np.array(self._arm.forces), self._load, rise)
         return max(round(motion_steps(length, pace) * self.world.physics.pace), least), rise
@@ -215,14 +205,14 @@ class Robot(CollidingArm):
         if self.fast and self._can_jump(command):
             self._place(self._fingers, [command / 2.0] * 2)
             return
-        drive_fingers(self.world, self._fingers, command / 2.0, self.model.gripper.speed)
+        motion.drive_fingers(self.world, self._fingers, command / 2.0, self.model.gripper.speed)
         self._finish()
 
     def _release(self) -> None:
         """Record that the bodies that the robot holds or touches lose their support."""
         self.world.unsettled.update(body.index for body in self.touched(self.world.loose_bodies))
 
-    def _place(self, group: JointGroup, positions: Sequence[float]) -> None:
+    def _place(self, group: motion.JointGroup, positions: Sequence[float]) -> None:
         self.world.set_joints(self.body, group.moved(self.world, positions))
         self._send_targets()
 
@@ -285,7 +275,9 @@ class Robot(CollidingArm):
         if lowest < FREE_CLEARANCE:
             return False
         count = math.ceil(length / SAMPLE_DISTANCE)
-        samples = interpolate_path([self.joint_positions, *stops], np.arange(1, count + 1) / count).tolist()
+        samples = motion.interpolate_path(
+            [self.joint_positions, *stops], np.arange(1, count + 1) / count
+        ).tolist()
         joints = (self._arm.moved(self.world, sample) for sample in samples)
         return self._is_free(joints, self._bodies_above(lowest - CLEAR_ABOVE))
 

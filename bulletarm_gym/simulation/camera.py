@@ -30,8 +30,7 @@ class Camera:
     :param eye: position (m, world)
     :param target: a point on the optical axis (m, world)
     :param fov: vertical field of view (degrees)
-    :param width: width of the image (pixels)
-    :param height: height of the image (pixels)
+    :param width: width and height of the image (pixels)
     :param near: smallest visible distance (m)
     :param far: largest visible distance (m)
     :param up: upward direction of the image in the world; by default z, or -x if the camera looks straight
@@ -61,10 +60,7 @@ class Camera:
 
     @property
     def extrinsics(self) -> FloatArray:
-        """Transformation (4, 4) from the world to the camera frame (m).
-
-        The camera frame has x to the right, y down in the image, and z along the optical axis, as in OpenCV.
-        """
+        """Transformation (4, 4) from the world to the camera frame (m): x right, y down, z forward."""
         forward = np.subtract(self.target, self.eye)
         forward /= np.linalg.norm(forward)
         right = np.cross(forward, self._up)
@@ -88,10 +84,7 @@ class Camera:
         return self._distances(self._render(world)).astype(np.float32)
 
     def points(self, world: World, without: Sequence[Body], measure: Measure | None = None) -> FloatArray:
-        """Return the visible points (n, 3) in the world (m), without the points on some bodies.
-
-        :param measure: errors of the camera, by default none
-        """
+        """Return the visible points (n, 3; m, world) as measured, without the points on some bodies."""
         image = self._render(world)
         distances = self._distances(image) if measure is None else measure(self._distances(image), self)
         shown = np.asarray(image[4]).reshape(distances.shape)
@@ -162,10 +155,7 @@ def look(world: World, eye: Vector, target: Vector) -> None:
 class Keyboard:
     """Keys of a window. PyBullet's own shortcuts are switched off.
 
-    PyBullet reports what happened to a key since the last call. For a key that was pressed and released in
-    between, it reports the release only.
-
-    :param world: the world that the window shows
+    For a key that was pressed and released between two calls, PyBullet reports the release only.
     """
 
     def __init__(self, world: World) -> None:
@@ -186,12 +176,7 @@ class Keyboard:
 def draw_segments(
     world: World, segments: Sequence[tuple[Vector, Vector]], replaced: Sequence[int] = ()
 ) -> list[int]:
-    """Draw orange lines, 3 pixels wide, in the window, in place of earlier lines.
-
-    :param segments: start and end (m, world) of each line
-    :param replaced: return value of the last call
-    :return: numbers of the lines
-    """
+    """Draw orange lines between points (m, world) in place of earlier ones, and return their numbers."""
     options = [{"replaceItemUniqueId": item} for item in replaced] or [{}] * len(segments)
     return [
         world.client.addUserDebugLine(start, end, (1.0, 0.35, 0.2), 3.0, **option)

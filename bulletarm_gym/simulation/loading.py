@@ -11,6 +11,7 @@ from xml.etree.ElementTree import Element, SubElement, fromstring
 import numpy as np
 
 from bulletarm_gym.geometry import Mesh, Pose, matrix
+from bulletarm_gym.simulation import urdf
 from bulletarm_gym.simulation.client import Client, pybullet
 from bulletarm_gym.simulation.shapes import (
     ORIGIN,
@@ -24,25 +25,13 @@ from bulletarm_gym.simulation.shapes import (
     wavefront,
 )
 from bulletarm_gym.simulation.state import Link, Properties
-from bulletarm_gym.simulation.urdf import (
-    add_geometry,
-    add_inertial,
-    add_joint,
-    add_material,
-    text_of,
-    to_text,
-)
 
 BASE = "base"
 """Name of the link that carries the moving parts of a body."""
 
 
 def load_rigid(client: Client, spec: BodySpec, damping: float) -> int:
-    """Load a body without moving parts, with the inertia of its shape.
-
-    :param damping: linear and angular damping
-    :return: number of the body in Bullet
-    """
+    """Load a body without moving parts, with the inertia of its shape, and return its number in Bullet."""
     frame, _ = spec.mass_properties
     body_id = client.createMultiBody(
         spec.mass,
@@ -56,11 +45,7 @@ def load_rigid(client: Client, spec: BodySpec, damping: float) -> int:
 
 
 def load_jointed(client: Client, spec: BodySpec, damping: float) -> int:
-    """Load a body with moving parts. Bullet reads joints with limits from URDF only.
-
-    :param damping: linear and angular damping
-    :return: number of the body in Bullet; its joints have the order of ``spec.parts``
-    """
+    """Load a body with moving parts, and return its number in Bullet, which reads joint limits from URDF."""
     is_free = spec.mass > 0.0
     # A part that slides in a fixed body does not rotate: its inertia has no effect.
     flags = client.URDF_USE_INERTIA_FROM_FILE if is_free or spec.hinges else 0
@@ -86,7 +71,6 @@ def set_resistance(client: Client, body_id: int, spec: BodySpec, factor: float =
 def load_urdf(client: Client, name: str, xml: str, pose: Pose) -> tuple[int, tuple[Link, ...]]:
     """Load a body fixed to the world from a URDF, and switch off the default motors of its joints.
 
-    :param name: name of the model in messages
     :return: number of the body in Bullet; its links without the base
     :raises ValueError: Bullet cannot load the model
     """
@@ -163,7 +147,7 @@ def _convert_meshes(xml: str, files: ExitStack) -> str:
             text = wavefront([Piece(Convex(Mesh.of(corners, faces)))])
             converted[name] = files.enter_context(_temporary_file(text, ".obj"))
         mesh.set("filename", converted.get(name, name))
-    return to_text(root) if converted else xml
+    return urdf.to_text(root) if converted else xml
 
 
 def _write_urdf(spec: BodySpec, folder: Path) -> str:
@@ -176,8 +160,8 @@ def _write_urdf(spec: BodySpec, folder: Path) -> str:
         pieces = tuple(Piece(piece.shape, origin.inverse().compose(piece.pose)) for piece in part.pieces)
         _add_link(root, BodySpec(part.name, pieces, part.mass, colour=part.colour), folder, is_free)
         kind = "revolute" if isinstance(part, Hinge) else "prismatic"
-        add_joint(root, kind, part.name, (BASE, part.name), origin, part.axis, part.limits)
-    return to_text(root)
+        urdf.add_joint(root, kind, part.name, (BASE, part.name), origin, part.axis, part.limits)
+    return urdf.to_text(root)
 
 
 def _add_link(root: Element, spec: BodySpec, folder: Path, is_free: bool) -> None:
@@ -189,15 +173,15 @@ def _add_link(root: Element, spec: BodySpec, folder: Path, is_free: bool) -> Non
     frame, moments = spec.mass_properties
     rotation = matrix(ORIGIN if is_free else frame)
     tensor = rotation @ (rotation * moments).T
-    add_inertial(link, frame if is_free else Pose(frame.position), spec.mass, tensor.tolist())
+    urdf.add_inertial(link, frame if is_free else Pose(frame.position), spec.mass, tensor.tolist())
     for number, piece in enumerate(spec.pieces):
         path = folder / f"{spec.name}_{number}.obj"
         path.write_text(wavefront([piece]))
-        add_material(add_geometry(link, "visual", "mesh", ORIGIN, filename=str(path)), spec.colour)
+        urdf.add_material(urdf.add_geometry(link, "visual", "mesh", ORIGIN, filename=str(path)), spec.colour)
         if isinstance(piece.shape, Box):
-            add_geometry(link, "collision", "box", piece.pose, size=text_of(piece.shape.extents))
+            urdf.add_geometry(link, "collision", "box", piece.pose, size=urdf.text_of(piece.shape.extents))
         else:
-            add_geometry(link, "collision", "mesh", ORIGIN, filename=str(path))
+            urdf.add_geometry(link, "collision", "mesh", ORIGIN, filename=str(path))
 
 
 # Shapes

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from operator import itemgetter
+from typing import Any
 
 import numpy as np
 
@@ -65,16 +66,14 @@ class JointGroup:
         """Indices in Bullet."""
         return [self.body.joints[slot] for slot in self.slots]
 
-    @cached_property
-    def motors(self) -> dict[str, Sequence[float]]:
-        """PyBullet's arguments for the motors: maximum forces and gains."""
-        gains: Sequence[float] = [1.0] * len(self.slots)
-        return {"forces": self.forces, "positionGains": gains, "velocityGains": gains}
-
     def positions(self, world: World) -> tuple[float, ...]:
         """Return the joint positions in the state of the world."""
-        joints = world.joints[self.body.index]
-        return tuple([joints[slot] for slot in self.slots])
+        positions: tuple[float, ...] = self._getter(world.joints[self.body.index])
+        return positions
+
+    @cached_property
+    def _getter(self) -> "itemgetter[Any]":
+        return itemgetter(*self.slots)
 
     def moved(self, world: World, positions: Sequence[float]) -> list[float]:
         """Return the positions of all joints of the body, with other positions of these joints."""
@@ -135,12 +134,15 @@ def _interpolate(stops: FloatArray, shares: FloatArray) -> FloatArray:
 
 def hold(world: World, group: JointGroup, positions: Sequence[float]) -> None:
     """Set the position targets of motors."""
+    gains = [1.0] * len(group.slots)
     world.client.setJointMotorControlArray(
         group.body.id,
         group.joints,
         world.client.POSITION_CONTROL,
         targetPositions=positions,
-        **group.motors,
+        forces=group.forces,
+        positionGains=gains,
+        velocityGains=gains,
     )
 
 

@@ -148,7 +148,6 @@ class BodySpec:
     is_mark: bool = False
 
     def __post_init__(self) -> None:
-        """Raise ValueError if a number is negative or not finite, or the colour is not four numbers."""
         for name in ("mass", "friction", "rolling_friction", "spinning_friction", "angular_damping"):
             if not 0.0 <= (value := getattr(self, name)) < math.inf:
                 raise ValueError(
@@ -228,10 +227,7 @@ VERTEX = re.compile(rb"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", re.IGNORECASE)
 
 
 def check_mesh(path: Path) -> None:
-    """Check that a mesh can be loaded. An ASCII STL file is converted for Bullet later.
-
-    :raises ValueError: the mesh cannot be loaded; the message contains the file and the reason
-    """
+    """Raise ValueError with the file and the reason if a mesh cannot be loaded."""
     try:
         (_check_collada if path.suffix.lower() == ".dae" else mesh_parts)(path)
     except (ValueError, OSError, ElementTree.ParseError) as error:

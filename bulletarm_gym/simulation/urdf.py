@@ -34,11 +34,7 @@ def _parse_xml(path: Path) -> Element:
 
 
 def parse_urdf(path: Path) -> Element:
-    """Return the root element of a URDF without the extensions of other programs.
-
-    :raises ValueError: the file is not XML or has another format
-    :raises OSError: the file cannot be read
-    """
+    """Return the root element of a URDF without the extensions of other programs, or raise ValueError."""
     must = f"model must be a URDF file, got {path}, "
     try:
         root = _parse_xml(path)
@@ -81,12 +77,9 @@ def load_model(relative: str) -> Element:
 
 
 def mesh_path(name: str, folder: Path) -> Path:
-    """Return the absolute path of a mesh.
+    """Return the absolute path of a mesh in the URDF of a folder, or raise ValueError if it does not exist.
 
-    :param name: file name in a URDF; as in PyBullet, the package of a ``package://`` path is a folder above
-        the URDF or next to such a folder
-    :param folder: absolute path of the folder of the URDF
-    :raises ValueError: the file does not exist
+    As in PyBullet, the package of a ``package://`` path is a folder above the URDF or next to such a folder.
     """
     for place in [folder, *folder.parents] if name.startswith(PACKAGE) else [folder]:
         found = place / name.removeprefix(PACKAGE).removeprefix(FILE)

@@ -44,11 +44,7 @@ MOVING, FIXED = 1, 2
 
 
 class World:
-    """Bodies under gravity.
-
-    :param physics: one of :data:`~bulletarm_gym.simulation.state.PHYSICS_MODES`
-    :param gui: show PyBullet's window
-    """
+    """Bodies under gravity, in PyBullet's window if ``gui``."""
 
     def __init__(self, physics: Physics, gui: bool = False) -> None:
         self.client = Client(gui)
@@ -79,10 +75,7 @@ class World:
     # Loading
 
     def add(self, spec: BodySpec, pose: Pose | None = None) -> Body:
-        """Load a body. Without a pose it is parked until :meth:`place`.
-
-        :raises RuntimeError: the world is sealed
-        """
+        """Load a body. Without a pose it is parked until :meth:`place`."""
         self._check_unsealed()
         load = load_jointed if spec.parts else load_rigid
         body_id = load(self.client, spec, self.physics.damping)
@@ -203,10 +196,7 @@ class World:
         return self._changed.get(body.index) or Properties.of(body.spec)
 
     def set_properties(self, body: Body, properties: Properties) -> None:
-        """Set the properties of a body until the next reset.
-
-        :raises ValueError: one of them is out of range
-        """
+        """Set the properties of a body until the next reset, or raise ValueError."""
         properties.check(body.spec)
         if properties == self.get_properties(body):
             return
@@ -347,11 +337,7 @@ class World:
         return [pose, *(pose.compose(part.moved(position)) for part, position in parts)]
 
     def contacts(self, body: Body, other: Body | None = None, link: int = -2) -> list[Contact]:
-        """Return the contacts of a body in the last simulation step.
-
-        :param other: only contacts with this body
-        :param link: only contacts of this link, an index in Bullet
-        """
+        """Return the contacts of a body, or of one of its links, in the last simulation step."""
         other_id = -1 if other is None else other.id
         return self._contacts(self.client.getContactPoints(body.id, other_id, link))
 
