@@ -19,8 +19,6 @@ from bulletarm_gym.env import ManipulationEnv
 
 MIN_SUCCESS = 0.95
 """Minimum success rate of an expert."""
-MAX_STEPS = 25
-"""Maximum number of steps of an episode that are compared between two environments."""
 PIXELS = 320
 """Side length of an image of the scene."""
 UNBOUNDED = r".*A Box observation space m(in|ax)imum value is -?infinity"
@@ -84,7 +82,7 @@ def _check_copies(make: Make, seed: int, restores: bool) -> str:
             start = first.reset(seed=seed + number)
             if not restores:
                 _require_equal(start, second.reset(seed=seed + number), f"reset(seed) differs {where}")
-            for step in range(MAX_STEPS):
+            for step in range(25):
                 if restores:
                     second.set_state(first.get_state())
                 if _step_both(first, second, f"differs in step {step} {where}"):

@@ -72,8 +72,6 @@ HEIGHTS = {CLOSE_LOOP: (0.01, 0.13, 0.25), OPEN_LOOP: (0.02, 0.1, 0.25)}
 """Heights (m) of the fingertips in the default workspaces."""
 LOAD = 0.2
 """Mass (kg) of the object in the checks of torques and tracking."""
-CUBE, CUBE_SHARE = 0.05, 0.6
-"""Side length (m) of a cube of scale 1, and its maximum as a fraction of the stroke."""
 MIN_MARGIN = 0.2
 """Minimum distance (rad) of a joint from its limits at the home pose."""
 MAX_DEVIATION = 5e-3
@@ -157,7 +155,7 @@ def _home(workspace: Limits | None) -> Pose:
 def _make(model: RobotModel, workspace: Limits | None, **parameters: Any) -> ManipulationEnv:
     if workspace is not None:
         parameters["workspace"] = [list(side) for side in workspace]
-    scale = min(1.0, CUBE_SHARE * model.gripper.stroke / CUBE)
+    scale = min(1.0, 0.6 * model.gripper.stroke / 0.05)  # a cube of scale 1 has 5 cm
     parameters |= {"robot": model, "object_scale_range": scale}
     env = gymnasium.make("BulletArm/CloseLoopBlockReaching-v0", **parameters).unwrapped
     env.reset(seed=0)

@@ -4,7 +4,7 @@ import fcntl
 import json
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import closing, contextmanager
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -275,7 +275,8 @@ class RecordDemonstrations(
 
     def _write(self) -> None:
         """Add the unsaved episodes and attempts to the file."""
-        with _locked(self._path):
+        with self._path.with_name(f".{self._path.name}.lock").open("a") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)  # other recorders of the file wait
             saved = self._saved()
             recorder = Recorder(self._about, None if saved is None else saved.image)
             for episode in self._unsaved:
@@ -313,12 +314,3 @@ def _recorded_env(env: gymnasium.Env[Any, Any]) -> ManipulationEnv:
             )
         env = env.env
     return core
-
-
-@contextmanager
-def _locked(path: Path) -> Iterator[None]:
-    """Make other recorders of a file wait."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.with_name(f".{path.name}.lock").open("a") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        yield

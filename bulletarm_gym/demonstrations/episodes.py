@@ -36,8 +36,6 @@ FORMAT = 1
 """Version of the file format."""
 HEIGHT = 1e-4
 """Length (m) of a count of stored heights."""
-UNIT = "metres_per_count"
-"""Attribute of stored heights with this length."""
 HEIGHTS = ("heightmap", "in_hand")
 """Observations in metres."""
 TOLERANCE = HEIGHT / 2.0 + 1e-6
@@ -207,7 +205,10 @@ class Recorder:
             return
         group = self._episodes.create_group(str(len(self)))
         for key, values in episode.observations.items():
-            _write_observations(group.require_group("observations"), key, values)
+            is_height = key in HEIGHTS
+            stored = np.rint(values / HEIGHT).astype(np.uint16) if is_height else values
+            dataset = group.create_dataset(f"observations/{key}", data=stored, **PACKED)
+            dataset.attrs.update({"metres_per_count": HEIGHT} if is_height else {})
         for name in STEPS:
             group[name] = getattr(episode, name)
         if episode.seed is not None:
@@ -255,21 +256,9 @@ def atomic_path(path: Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-def _write_observations(group: h5py.Group, key: str, values: NDArray[Any]) -> None:
-    if key not in HEIGHTS:
-        group.create_dataset(key, data=values, **PACKED)
-        return
-    counts = np.rint(values / HEIGHT).astype(np.uint16)
-    group.create_dataset(key, data=counts, **PACKED).attrs[UNIT] = HEIGHT
-
-
 def _read(group: h5py.Group) -> Episode:
     return Episode(
-        {
-            # Heights are the stored counts times the unit.
-            key: (dataset[()] * unit).astype(np.float32) if (unit := dataset.attrs.get(UNIT)) else dataset[()]
-            for key, dataset in group["observations"].items()
-        },
+        {key: _observations(dataset) for key, dataset in group["observations"].items()},
         group["actions"][()],
         group["rewards"][()],
         group["terminations"][()],
@@ -277,6 +266,12 @@ def _read(group: h5py.Group) -> Episode:
         int(group["seed"][()]) if "seed" in group else None,
         group["initial_state"][()].tobytes().decode(),
     )
+
+
+def _observations(dataset: h5py.Dataset) -> NDArray[Any]:
+    stored: NDArray[Any] = dataset[()]
+    unit = dataset.attrs.get("metres_per_count")
+    return stored if unit is None else (stored * unit).astype(np.float32)
 
 
 def load(path: str | os.PathLike[str], object_set: str | os.PathLike[str] | None = None) -> Demonstrations:

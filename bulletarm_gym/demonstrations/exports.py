@@ -149,7 +149,12 @@ def observations(
     :raises ValueError: the parameters of a camera are invalid, or two features have the same name
     """
     episode, state = demonstrations[number], State(env.scene)
-    sensors = {name: _camera(env, name, parameters) for name, parameters in cameras.items()}
+    sensors: dict[str, Sensor] = {}
+    for name, parameters in cameras.items():
+        try:
+            sensors[name] = Rgb(env.scene, **parameters)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"cameras: {name}: {error}") from error
     states = [name for name, source, _ in env.config.sensors if source == "state"]
     for step in replay(demonstrations, number, env):
         view = env.look()
@@ -195,13 +200,6 @@ def features(env: ManipulationEnv, frame: Mapping[str, NDArray[Any]]) -> dict[st
         }
         for name, values in frame.items()
     }
-
-
-def _camera(env: ManipulationEnv, name: str, parameters: Mapping[str, Any]) -> Sensor:
-    try:
-        return Rgb(env.scene, **parameters)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"cameras: {name}: {error}") from error
 
 
 def _recorded(name: str, values: NDArray[Any]) -> tuple[str, NDArray[Any]]:

@@ -150,8 +150,6 @@ def _bowl(scale: float) -> list[Piece]:
 bowl = Kind(_bowl, mass=0.1, colour=YELLOW)
 """Bowl that is open to the top, its frame on its axis at the middle of its height."""
 
-# Bins, trays, boxes and the pallet
-
 TRAY: Vector = (0.24, 0.16, 0.05)
 """Outer side lengths (m) of the tray for bottles (paper, Bottle Arrangement)."""
 TRAY_WALL = 0.01

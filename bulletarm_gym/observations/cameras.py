@@ -38,8 +38,6 @@ SIDE_FOV = 35.6
 """Field of view (degrees) of the side cameras."""
 SIDE_PIXELS = 512
 """Pixels a side of the images of the side cameras in the point-cloud view."""
-SIDE_WORKSPACE = 0.4
-"""Side (m) of the largest workspace for which the side cameras keep their distance."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +111,7 @@ def look_at(position: Vector, target: Vector, fov: float, size: Sequence[int]) -
 def side_cameras(config: EnvConfig, pixels: int) -> tuple[Camera, Camera]:
     """Return the two cameras at the workspace's sides, the lower y first (paper, Close-loop Environments)."""
     x, y = config.centre
-    scale = max(1.0, config.workspace_size / SIDE_WORKSPACE)
+    scale = max(1.0, config.workspace_size / SIZES[1])
     eyes = [(x, y + side * scale, SIDE_HEIGHT * scale) for side in (-SIDE_DISTANCE, SIDE_DISTANCE)]
     first, second = (Camera(eye, (x, y, 0.0), SIDE_FOV, pixels, pixels, 0.1, 3.0 * scale) for eye in eyes)
     return first, second

@@ -44,7 +44,7 @@ class Observer:
             name: _make(config, name, source, parameters, scene)
             for name, source, parameters in config.sensors
         }
-        self.follows = any(sensor.follows for sensor in self._sensors.values())
+        self.follows = any(type(one).follow is not Sensor.follow for one in self._sensors.values())
         self.space = spaces.Dict({name: sensor.space for name, sensor in self._sensors.items()})
         render = render_camera(scene)
         self.cameras = {RENDER: SceneCamera(lambda: render, scene.world)}

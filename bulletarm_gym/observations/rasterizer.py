@@ -167,10 +167,8 @@ def _draw_rectangles(
         across_x, across_y = -0.5 * width * math.sin(yaw), 0.5 * width * math.cos(yaw)
         for corner in range(3):
             along, across = (1.0 if corner == 1 else -1.0), (1.0 if corner == 2 else -1.0)
-            corner_x, corner_y = (
-                x + along * along_x + across * across_x,
-                y + along * along_y + across * across_y,
-            )
+            corner_x = x + along * along_x + across * across_x
+            corner_y = y + along * along_y + across * across_y
             corners[corner, 0] = _snap((corner_x - square[0]) * scale, SUBPIXELS)
             corners[corner, 1] = _snap((corner_y - square[1]) * scale, SUBPIXELS)
         corners[3, :2] = corners[1, :2] + corners[2, :2] - corners[0, :2]

@@ -92,8 +92,6 @@ class Arm:
             (j, low, high) for j, (low, high) in enumerate(limits) if high - low >= math.tau
         ]
 
-    # Measurements
-
     @property
     def pose(self) -> Pose:
         """Tool pose."""
@@ -150,8 +148,6 @@ class Arm:
     def show_joints(self, positions: Sequence[float]) -> None:
         """Set the arm joints (rad) for a query of the world, until the next motion begins."""
         self.world.show_joints(self.body, self._arm.moved(self.world, positions))
-
-    # Inverse kinematics
 
     def inverse_kinematics(self, pose: Pose) -> tuple[float, ...]:
         """Return joint positions (rad) inside the limits for a tool pose.
@@ -245,7 +241,8 @@ class CollidingArm(Arm):
         if lowest <= FREE_CLEARANCE:
             return False
         others = [body for body in self._bodies_above(lowest - FREE_CLEARANCE) if body is not held]
-        return not any(self._is_near(mover, body) for body in others for mover in self._movers)
+        movers = self._movers
+        return not any(self.world.are_near(one, body, FREE_CLEARANCE) for body in others for one in movers)
 
     def is_free_at(self, pose: Pose, bodies: Sequence[Body]) -> bool:
         """Return True if the robot at a pose in reach would touch none of some bodies."""
@@ -259,10 +256,7 @@ class CollidingArm(Arm):
 
     def _is_free_with(self, joints: Sequence[float], bodies: Sequence[Body]) -> bool:
         self.world.show_joints(self.body, joints)
-        return not any(self._is_near(self.body, body) for body in bodies)
-
-    def _is_near(self, mover: Body, body: Body) -> bool:
-        return not math.isinf(self.world.distance(mover, body, FREE_CLEARANCE))
+        return not any(self.world.are_near(self.body, body, FREE_CLEARANCE) for body in bodies)
 
     def _bodies_above(self, height: float) -> list[Body]:
         return [body for body in self.world.obstacles if self.world.top(body) > height]
@@ -290,8 +284,6 @@ class CollidingArm(Arm):
             if not any(abs(n[0] * x + n[1] * y + n[2] * z) > GRIP_ALIGNMENT for n in normals):
                 return False
         return True
-
-    # Penetrations
 
     def _penetrated(self, mover: Body) -> list[Body]:
         """Return the bodies that a body penetrated in the last simulation step."""

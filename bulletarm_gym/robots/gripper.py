@@ -72,11 +72,6 @@ class Gripper:
             raise ValueError(f"joints must be the names of two joints, got {self.joints!r}")
 
     @property
-    def travel(self) -> float:
-        """Maximum displacement (m) of a finger."""
-        return self.stroke / 2.0
-
-    @property
     def overhang(self) -> float:
         """Distance (m) by which the palm is wider than the open fingers, negative if it is narrower."""
         return self.palm[0] / 2.0 - self.half_width()
@@ -135,6 +130,6 @@ class ParallelJaw(Gripper):
             finger, mount = joint_name.removesuffix("_joint"), Pose.planar(0.0, 0.0, self.palm[2], yaw)
             add_link(root, finger, FINGER_MASS, (pad, *self.trim))
             ends, pose, axis = (link, finger), flange.compose(mount), (1.0, 0.0, 0.0)
-            limits = (0.0, self.travel)
+            limits = (0.0, self.stroke / 2.0)
             add_joint(root, "prismatic", joint_name, ends, pose, axis, limits, self.force, self.speed)
         return root

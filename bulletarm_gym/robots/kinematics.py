@@ -73,16 +73,12 @@ class Chain:
 
     def forward(self, joints: FloatArray) -> Pose:
         """Return the tool's pose in the world at joint positions (n,) rad."""
-        rotation, position, _ = self._tool(joints)
+        rotation, position, _ = self.derivatives(joints)
         x, y, z = position.tolist()
         return Pose((x, y, z), quaternion(rotation))
 
-    def jacobian(self, joints: FloatArray) -> FloatArray:
-        """Return the derivative (6, n) of the tool's position (m) and rotation (rad, world) by the joints."""
-        return self._tool(joints)[2]
-
-    def _tool(self, joints: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the tool's rotation (3, 3) and position (3,), and the Jacobian (6, n)."""
+    def derivatives(self, joints: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the tool's rotation (3, 3) and position (3,) m in the world, and their Jacobian (6, n)."""
         rotation, position, jacobian = np.empty((3, 3)), np.empty(3), np.empty((6, len(joints)))
         spare = np.empty((len(joints) + 3, 3, 3))
         _jacobian(self.frames, np.asarray(joints, np.float64), rotation, position, jacobian, spare)

@@ -22,8 +22,6 @@ from bulletarm_gym.simulation.world import GRAVITY, TIME_STEP
 
 PLINTH_RADIUS = 0.09
 """Radius (m) of the stand under an arm whose base is above the ground, outside the workspaces."""
-LINE_POINTS = 1000
-"""Number of points of the line behind the base in the test of a workspace."""
 VERTICAL = 0.9
 """Minimum cosine between the vertical and the axis of a joint that rotates the gripper about the vertical."""
 
@@ -142,14 +140,14 @@ class RobotModel:
             return False
         base, (low, high) = np.array(self.base.position[:2]), np.array(workspace[:2]).T
         reach = 0.0 if upper - lower >= math.tau else np.abs([base - low, base - high]).sum()
-        lengths = np.linspace(0.0, reach, LINE_POINTS)[:, None]
+        lengths = np.linspace(0.0, reach, 1000)[:, None]
         line = base - lengths * [math.cos(self.base.yaw), math.sin(self.base.yaw)]
         return bool(((low < line) & (line < high)).all(axis=1).any())
 
     @cached_property
     def _directions(self) -> tuple[float, float]:
         """Direction of rotation about the vertical by the first and the last joint: 1, -1 or 0."""
-        vertical = self.chain.jacobian(np.array(self.posture))[5]
+        vertical = self.chain.derivatives(np.array(self.posture))[2][5]
         first, last = np.where(np.abs(vertical) > VERTICAL, np.sign(vertical), 0.0)[[0, -1]].tolist()
         return first, last
 

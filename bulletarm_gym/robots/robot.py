@@ -75,15 +75,13 @@ class Robot(CollidingArm):
         self.held = None if state.held is None else self.world.bodies[state.held]
         self._command = state.opening
 
-    # Motions
-
     def home(self, pose: Pose) -> None:
         """Set the empty, open gripper to a pose without a motion. The grasped object falls."""
         self._release()
         self.held = None
         self._command = self.model.gripper.stroke
         self._place(self._arm, self._solve(pose))
-        self._place(self._fingers, [self.model.gripper.travel] * 2)
+        self._place(self._fingers, [self.model.gripper.stroke / 2.0] * 2)
 
     def begin(self) -> None:
         """Start a motion: restore the snapshot of the world, without old contacts, and set the motors."""
@@ -237,7 +235,7 @@ class Robot(CollidingArm):
 
         If an object is too deep in both fingers, they open.
         """
-        travel = self.model.gripper.travel
+        travel = self.model.gripper.stroke / 2.0
         for _ in range(2):
             if self._shift_out() and self._push_out():
                 return
@@ -264,8 +262,6 @@ class Robot(CollidingArm):
         if self.held is not None:
             before = self.world.poses[self.held.index]
             self.world.carry(self.held, self.pose.compose(tool.inverse().compose(before)))
-
-    # Motions without simulation
 
     def _is_clear(self, start: Pose, end: Pose, stops: Sequence[Sequence[float]], length: float) -> bool:
         """Return True if nothing moves and the empty gripper touches nothing along a motion."""

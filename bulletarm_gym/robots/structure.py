@@ -152,7 +152,7 @@ def _check_fingers(fingers: Sequence[Element], gripper: Gripper, tool: Pose) -> 
     """Check that fingers open from 0 over the stroke, in opposite directions along x of the tool frame."""
     for finger in fingers:
         lower, upper = urdf.limits_of(finger)
-        is_wide = lower <= LIMIT_TOLERANCE and upper >= gripper.travel - LIMIT_TOLERANCE
+        is_wide = lower <= LIMIT_TOLERANCE and upper >= gripper.stroke / 2.0 - LIMIT_TOLERANCE
         must = f"move from 0, where the fingers meet, by half the stroke of {gripper.stroke:g} m"
         got = f"{finger.get('name')!r} from {lower:g} to {upper:g} m. Use on_slides() or another stroke."
         _require(is_wide, f"gripper.joints must {must}, got {got}")

@@ -30,7 +30,8 @@ class Camera:
     :param eye: position (m, world)
     :param target: a point on the optical axis (m, world)
     :param fov: vertical field of view (degrees)
-    :param width: width and height of the image (pixels)
+    :param width: width of the image (pixels)
+    :param height: height of the image (pixels)
     :param near: smallest visible distance (m)
     :param far: largest visible distance (m)
     :param up: upward direction of the image in the world; by default z, or -x if the camera looks straight
@@ -72,22 +73,21 @@ class Camera:
 
     def color(self, world: World) -> NDArray[np.uint8]:
         """Return the color image, (height, width, 3)."""
-        return self._color(self._render(world, self.shadow))
+        return self._render(world, self.shadow)[0]
 
     def color_and_depth(self, world: World) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
         """Return the color image without shadows and the distances (m) of one rendering."""
-        image = self._render(world)
-        return self._color(image), self._distances(image).astype(np.float32)
+        colors, distances, _ = self._render(world)
+        return colors, distances.astype(np.float32)
 
     def depth(self, world: World) -> NDArray[np.float32]:
         """Return distances (m) along the optical axis, (height, width)."""
-        return self._distances(self._render(world)).astype(np.float32)
+        return self.color_and_depth(world)[1]
 
     def points(self, world: World, without: Sequence[Body], measure: Measure | None = None) -> FloatArray:
         """Return the visible points (n, 3; m, world) as measured, without the points on some bodies."""
-        image = self._render(world)
-        distances = self._distances(image) if measure is None else measure(self._distances(image), self)
-        shown = np.asarray(image[4]).reshape(distances.shape)
+        _, distances, shown = self._render(world)
+        distances = distances if measure is None else measure(distances, self)
         visible = ~np.isin(shown, [body.id for body in without]) & (distances < self.far * 0.99)
         rows, columns = np.nonzero(visible)
         pixels = np.stack([columns, rows, np.ones(len(rows))])
@@ -108,16 +108,10 @@ class Camera:
         across = math.hypot(self.eye[0] - self.target[0], self.eye[1] - self.target[1])
         return (0.0, 0.0, 1.0) if across > VERTICAL * abs(self.eye[2] - self.target[2]) else (-1.0, 0.0, 0.0)
 
-    def _color(self, image: tuple[Any, ...]) -> NDArray[np.uint8]:
-        pixels = np.asarray(image[2], dtype=np.uint8)
-        return pixels.reshape(self.height, self.width, 4)[:, :, :3].copy()
-
-    def _distances(self, image: tuple[Any, ...]) -> FloatArray:
-        buffer = np.asarray(image[3], dtype=np.float64).reshape(self.height, self.width)
-        distances: FloatArray = self.far * self.near / (self.far - (self.far - self.near) * buffer)
-        return distances
-
-    def _render(self, world: World, shadow: bool = False) -> tuple[Any, ...]:
+    def _render(
+        self, world: World, shadow: bool = False
+    ) -> tuple[NDArray[np.uint8], FloatArray, NDArray[np.int64]]:
+        """Return colors, distances (m) and the number in Bullet of the visible body of each pixel."""
         client, optics = world.client, world.optics
         # TinyRenderer samples pixel (column, row) at (column, row + 1) of an image whose first pixel spans 0
         # to 1. A shift by half a pixel makes it sample the centre of each pixel.
@@ -129,7 +123,7 @@ class Camera:
         if optics != NOMINAL:
             view = (OPENGL_AXES @ optics.camera_error @ self.extrinsics).T.ravel().tolist()
             light = {"lightColor": (optics.brightness,) * 3}
-        image: tuple[Any, ...] = client.getCameraImage(
+        _, _, pixels, buffer, shown = client.getCameraImage(
             self.width,
             self.height,
             view,
@@ -139,7 +133,11 @@ class Camera:
             shadow=int(shadow),
             renderer=client.ER_TINY_RENDERER,
         )
-        return image
+        shape = self.height, self.width
+        colors = np.asarray(pixels, np.uint8).reshape(*shape, 4)[:, :, :3].copy()
+        nearness = np.asarray(buffer, np.float64).reshape(shape)
+        distances = self.far * self.near / (self.far - (self.far - self.near) * nearness)
+        return colors, distances, np.asarray(shown).reshape(shape)
 
 
 def look(world: World, eye: Vector, target: Vector) -> None:

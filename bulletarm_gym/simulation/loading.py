@@ -1,7 +1,7 @@
 """Creation of bodies in Bullet from their specifications."""
 
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from functools import cache
 from pathlib import Path
@@ -121,9 +121,6 @@ def _set_base_dynamics(client: Client, body_id: int, spec: BodySpec, damping: fl
     set_dynamics(client, body_id, spec, Properties.of(spec))
 
 
-# Files
-
-
 @contextmanager
 def _temporary_file(text: str, suffix: str) -> Iterator[str]:
     """Write a text to a file that Bullet reads. A folder would take milliseconds to remove."""
@@ -135,8 +132,6 @@ def _temporary_file(text: str, suffix: str) -> Iterator[str]:
 
 def _convert_meshes(xml: str, files: ExitStack) -> str:
     """Return a URDF in which temporary OBJ files replace ASCII STL files, which Bullet does not read."""
-    if ".stl" not in xml.lower():
-        return xml
     root = fromstring(xml)
     converted: dict[str, str] = {}
     for mesh in root.iter("mesh"):
@@ -184,35 +179,18 @@ def _add_link(root: Element, spec: BodySpec, folder: Path, is_free: bool) -> Non
             urdf.add_geometry(link, "collision", "mesh", ORIGIN, filename=str(path))
 
 
-# Shapes
-
-
 def _collision_shape(client: Client, spec: BodySpec) -> int:
-    if all(isinstance(piece.shape, Box) for piece in spec.pieces):
-        return _box_shape(client, spec.pieces)
-    with _temporary_file(wavefront(spec.pieces), ".obj") as path:
-        return int(client.createCollisionShape(client.GEOM_MESH, fileName=path))
-
-
-def _box_shape(client: Client, pieces: Sequence[Piece]) -> int:
-    """Return a shape of boxes, which collide faster and more stably than the hulls of their corners."""
-    sizes = [[extent / 2.0 for extent in piece.shape.extents] for piece in pieces]  # type: ignore[union-attr]
-    positions = [piece.pose.position for piece in pieces]
-    orientations = [piece.pose.orientation for piece in pieces]
-    if len(pieces) == 1:
-        shape = client.createCollisionShape(
-            client.GEOM_BOX,
-            halfExtents=sizes[0],
-            collisionFramePosition=positions[0],
-            collisionFrameOrientation=orientations[0],
-        )
-    else:
-        shape = client.createCollisionShapeArray(
-            shapeTypes=[client.GEOM_BOX] * len(pieces),
-            halfExtents=sizes,
-            collisionFramePositions=positions,
-            collisionFrameOrientations=orientations,
-        )
+    boxes = [piece.shape for piece in spec.pieces if isinstance(piece.shape, Box)]
+    if len(boxes) < len(spec.pieces):
+        with _temporary_file(wavefront(spec.pieces), ".obj") as path:
+            return int(client.createCollisionShape(client.GEOM_MESH, fileName=path))
+    # Boxes collide faster and more stably than the hulls of their corners.
+    shape = client.createCollisionShapeArray(
+        shapeTypes=[client.GEOM_BOX] * len(boxes),
+        halfExtents=[[extent / 2.0 for extent in box.extents] for box in boxes],
+        collisionFramePositions=[piece.pose.position for piece in spec.pieces],
+        collisionFrameOrientations=[piece.pose.orientation for piece in spec.pieces],
+    )
     return int(shape)
 
 

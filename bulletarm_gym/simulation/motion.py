@@ -126,7 +126,9 @@ def _interpolate(stops: FloatArray, shares: FloatArray) -> FloatArray:
     ends = np.arange(len(stops)) * (1.0 / (len(stops) - 1))
     ends[-1] = 1.0
     for row, share in enumerate(shares):
-        piece = min(np.searchsorted(ends, share, side="right"), len(stops) - 1) - 1
+        piece = 0
+        while share >= ends[piece + 1] and piece + 2 < len(ends):
+            piece += 1
         slope = (stops[piece + 1] - stops[piece]) / (ends[piece + 1] - ends[piece])
         path[row] = slope * (share - ends[piece]) + stops[piece] if share < 1.0 else stops[-1]
     return path

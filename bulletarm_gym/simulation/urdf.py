@@ -15,9 +15,6 @@ PACKAGE, FILE = "package://", "file://"
 """Prefixes of file names in ROS: of a file in a package, and of any file."""
 
 
-# Files
-
-
 def _parse_xml(path: Path) -> Element:
     """Return the root element of an XML file. Prefixes stay part of names and need no declaration."""
     builder = ElementTree.TreeBuilder()
@@ -92,9 +89,6 @@ def to_text(root: Element) -> str:
     """Return the text of a model, in short lines: Bullet breaks lines of more than 1,023 characters."""
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode")
-
-
-# Reading elements
 
 
 def find(root: Element, tag: str, name: str) -> Element:
@@ -188,9 +182,6 @@ def mass_of(link: Element) -> float:
     """Return the mass (kg) of a link, 0 without ``<inertial>``."""
     mass = link.find("inertial/mass")
     return 0.0 if mass is None else number_of(mass, "value")
-
-
-# Writing elements
 
 
 def text_of(values: Sequence[float]) -> str:

@@ -31,8 +31,6 @@ TIME_STEP = 1.0 / 240.0
 """Duration of a simulation step (s)."""
 GRAVITY = -10.0
 """Acceleration (m/s^2) along z."""
-RESIDUAL_THRESHOLD = 1e-5
-"""Squared change of the impulses at which the solver stops before its last iteration."""
 SPHERE_GAP = 0.01
 """Gap (m) between bounding spheres above which bodies are apart. It exceeds Bullet's collision margins."""
 PARKING_HEIGHT = 10.0
@@ -68,11 +66,9 @@ class World:
         self.client.setPhysicsEngineParameter(
             fixedTimeStep=TIME_STEP,
             numSolverIterations=physics.solver_iterations,
-            solverResidualThreshold=RESIDUAL_THRESHOLD,
+            solverResidualThreshold=1e-5,  # the squared change of the impulses that ends the iterations
             deterministicOverlappingPairs=1,
         )
-
-    # Loading
 
     def add(self, spec: BodySpec, pose: Pose | None = None) -> Body:
         """Load a body. Without a pose it is parked until :meth:`place`."""
@@ -117,8 +113,6 @@ class World:
             self.park(body)
         return body
 
-    # Groups of bodies
-
     @property
     def ground(self) -> Body:
         """The infinite ground, loaded by :meth:`add_plane`."""
@@ -144,8 +138,6 @@ class World:
     def obstacles(self) -> list[Body]:
         """The active solids."""
         return [body for body in self.solids if self.active[body.index]]
-
-    # Layout
 
     def place(self, body: Body, pose: Pose, twist: Twist = STILL) -> None:
         """Set the pose of a body and activate it. It falls if nothing supports it."""
@@ -247,8 +239,6 @@ class World:
         rates = [(rate,) for rate in self.joint_rates[body.index]]
         self.client.resetJointStatesMultiDof(body.id, body.joints, positions, rates)
 
-    # State
-
     def begin(self) -> None:
         """Restore the snapshot with the current state. Every motion starts with this call."""
         self.client.restoreState(self._snapshot)
@@ -304,8 +294,6 @@ class World:
         for body in self.bodies:
             self._send(body)
 
-    # Simulation
-
     def step(self, count: int = 1) -> None:
         """Advance the simulation by a number of steps of :data:`TIME_STEP`."""
         for _ in range(count):
@@ -316,8 +304,6 @@ class World:
         before = self.client.stepSimulation
         vars(self.client)["stepSimulation"] = wrap(before)
         return lambda: vars(self.client).update(stepSimulation=before)
-
-    # Queries
 
     @property
     def has_motion(self) -> bool:
