@@ -208,14 +208,10 @@ def project_points(points: FloatArray, window: Window, ceiling: float) -> NDArra
 
 
 class ZBuffer:
-    """Z-buffer that looks straight down on a fixed list of n meshes.
+    """Z-buffer that looks straight down on a fixed list of n meshes; faces that look down are never drawn.
 
-    Heights are those under pixel centres, not averages over pixels. With ``resolution = extent / size``,
-    pixel ``(i, j)`` covers world x from ``centre[0] - extent / 2 + i * resolution`` to one resolution more,
-    and y with ``j`` likewise. A rotation of scene and window by +90 degrees about z,
-    ``(x, y) -> (-y, x)``, rotates the image by ``np.rot90(image, k=1)``, bit for bit.
-
-    :param meshes: closed or open meshes; faces that look down are never drawn
+    Heights are those under pixel centres, not averages over pixels. A rotation of scene and window by
+    ``(x, y) -> (-y, x)`` rotates the image by ``np.rot90(image, k=1)``, bit for bit.
     """
 
     def __init__(self, meshes: Sequence[Mesh]) -> None:

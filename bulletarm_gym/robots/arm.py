@@ -1,8 +1,7 @@
 """The joints of a robot in a world: measurements and inverse kinematics."""
 
-import itertools
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import lru_cache
 
@@ -15,18 +14,12 @@ from bulletarm_gym.simulation import Body, BodySpec, Contact, World
 from bulletarm_gym.simulation.motion import MAX_DEPTH, JointGroup, add_gear_constraint
 from bulletarm_gym.simulation.world import NEAR
 
-REFERENCE_DISTANCE = 0.05
-"""Length (m) of a closed-loop step (paper, Close-Loop 4D Benchmark)."""
-MIN_STEPS = 6
-"""Minimum number of simulation steps of a motion."""
 YAW_RADIUS = 0.06
 """Distance (m) per rad of rotation about the tool's z axis: half an open gripper and its fingers."""
 TILT_RADIUS = 0.25
 """Distance (m) per rad of tilt: from the fingertips to the wrist of an arm."""
 MAX_SAG = 0.2
 """Maximum distance of a motion from the straight line relative to its length."""
-TRANSFER_HEIGHT = 0.4
-"""Height (m) of simulated motions across a workspace."""
 
 
 def path_length(start: Pose, end: Pose) -> float:
@@ -35,23 +28,6 @@ def path_length(start: Pose, end: Pose) -> float:
     yaw = 2.0 * math.atan2(abs(z), abs(w))
     tilt = 2.0 * math.atan2(math.hypot(x, y), math.hypot(z, w))
     return max(math.dist(start.position, end.position), YAW_RADIUS * yaw, TILT_RADIUS * tilt)
-
-
-def transfer_stops(start: Pose, end: Pose) -> Iterator[Pose]:
-    """Yield the poses of a path up, across and down, in steps of at most :data:`REFERENCE_DISTANCE`."""
-    level = max(start.z, end.z, TRANSFER_HEIGHT)
-    over = [Pose.planar(pose.x, pose.y, level, pose.yaw) for pose in (start, end)]
-    for before, after in itertools.pairwise([start, *over, end]):
-        count = max(1, math.ceil(path_length(before, after) / REFERENCE_DISTANCE))
-        yield from (interpolate(before, after, number / count) for number in range(1, count + 1))
-
-
-def motion_steps(length: float, reference_steps: int) -> int:
-    """Return the number of simulation steps of a motion over a length (m).
-
-    :param reference_steps: number of a motion over :data:`REFERENCE_DISTANCE` with the same acceleration
-    """
-    return max(MIN_STEPS, math.ceil(reference_steps * math.sqrt(length / REFERENCE_DISTANCE)))
 
 
 MAX_JOINT_CHANGE = math.pi

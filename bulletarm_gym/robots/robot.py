@@ -1,26 +1,25 @@
 """Motions, grasps and state of a robot."""
 
+import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from bulletarm_gym.geometry import Pose, Vector, interpolate
-from bulletarm_gym.robots.arm import (
-    CLEAR_ABOVE,
-    FREE_CLEARANCE,
-    MAX_SHIFTS,
-    CollidingArm,
-    motion_steps,
-    path_length,
-    transfer_stops,
-)
+from bulletarm_gym.robots.arm import CLEAR_ABOVE, FREE_CLEARANCE, MAX_SHIFTS, CollidingArm, path_length
 from bulletarm_gym.robots.kinematics import POSITION_TOLERANCE
 from bulletarm_gym.robots.model import RobotModel
 from bulletarm_gym.simulation import World, motion
 from bulletarm_gym.simulation.state import STILL
 
+REFERENCE_DISTANCE = 0.05
+"""Length (m) of a closed-loop step (paper, Close-Loop 4D Benchmark)."""
+MIN_STEPS = 6
+"""Minimum number of simulation steps of a motion."""
+TRANSFER_HEIGHT = 0.4
+"""Height (m) of simulated motions across a workspace."""
 FREE_STEPS = 16
 """Number of simulation steps of a motion over the reference distance in free space."""
 CONTACT_STEPS = 48
@@ -41,6 +40,15 @@ SLIDE_GAP = 1e-3
 """Distance (m) by which a sliding arm moves away from what blocked it, so that it presses less."""
 MAX_PUSHED_RATIO = 0.2
 """Fraction of the stroke by which fingers pushed closed by a contact stay closed until the next command."""
+
+
+def transfer_stops(start: Pose, end: Pose) -> Iterator[Pose]:
+    """Yield the poses of a path up, across and down, in steps of at most :data:`REFERENCE_DISTANCE`."""
+    level = max(start.z, end.z, TRANSFER_HEIGHT)
+    over = [Pose.planar(pose.x, pose.y, level, pose.yaw) for pose in (start, end)]
+    for before, after in itertools.pairwise([start, *over, end]):
+        count = max(1, math.ceil(path_length(before, after) / REFERENCE_DISTANCE))
+        yield from (interpolate(before, after, number / count) for number in range(1, count + 1))
 
 
 @dataclass(frozen=True)
@@ -158,7 +166,7 @@ class Robot(CollidingArm):
     ) -> tuple[int, float]:
         """Return the number of simulation steps of a motion, and the fraction with positive acceleration.
 
-        The motion takes at least as long as the joint torques allow.
+        Motions of all lengths have equal accelerations, unless the joint torques need more time.
 
         :param stops: joint positions (rad) along the motion
         :param length: length (m) of the tool's path
@@ -166,7 +174,8 @@ class Robot(CollidingArm):
         pace, rise = (CONTACT_STEPS, motion.CONTACT_RISE) if in_contact else (FREE_STEPS, motion.RISE)
         path = np.array([self.joint_positions, *stops])
         least = self.dynamics.least_steps(path, np.array(self._arm.forces), self._load, rise)
-        return max(round(motion_steps(length, pace) * self.world.physics.pace), least), rise
+        steps = max(MIN_STEPS, math.ceil(pace * math.sqrt(length / REFERENCE_DISTANCE)))
+        return max(round(steps * self.world.physics.pace), least), rise
 
     def _line(self, start: Pose, end: Pose) -> list[tuple[float, ...]]:
         """Return intermediate joint positions (rad) that keep the tool on the line between two poses.

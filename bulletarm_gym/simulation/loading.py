@@ -10,20 +10,10 @@ from xml.etree.ElementTree import Element, SubElement, fromstring
 
 import numpy as np
 
-from bulletarm_gym.geometry import Mesh, Pose, matrix
+from bulletarm_gym.geometry import Pose, matrix
 from bulletarm_gym.simulation import urdf
 from bulletarm_gym.simulation.client import Client, pybullet
-from bulletarm_gym.simulation.shapes import (
-    ORIGIN,
-    BodySpec,
-    Box,
-    Convex,
-    Hinge,
-    Piece,
-    is_ascii_stl,
-    stl_corners,
-    wavefront,
-)
+from bulletarm_gym.simulation.shapes import ORIGIN, BodySpec, Box, Hinge, Piece, ascii_stl_as_obj, wavefront
 from bulletarm_gym.simulation.state import Link, Properties
 
 BASE = "base"
@@ -136,10 +126,7 @@ def _convert_meshes(xml: str, files: ExitStack) -> str:
     converted: dict[str, str] = {}
     for mesh in root.iter("mesh"):
         name = mesh.get("filename", "")
-        if name not in converted and is_ascii_stl(Path(name)):
-            corners = stl_corners(Path(name))
-            faces = np.arange(len(corners)).reshape(-1, 3)
-            text = wavefront([Piece(Convex(Mesh.of(corners, faces)))])
+        if name not in converted and (text := ascii_stl_as_obj(Path(name))):
             converted[name] = files.enter_context(_temporary_file(text, ".obj"))
         mesh.set("filename", converted.get(name, name))
     return urdf.to_text(root) if converted else xml

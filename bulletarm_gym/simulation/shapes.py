@@ -252,9 +252,12 @@ def mesh_parts(path: Path) -> list[tuple[str, FloatArray]]:
     return parts
 
 
-def is_ascii_stl(path: Path) -> bool:
-    """Return True if a file is an STL file in ASCII, which Bullet does not read."""
-    return path.suffix.lower() == ".stl" and not _is_binary(path.read_bytes())
+def ascii_stl_as_obj(path: Path) -> str | None:
+    """Return an ASCII STL file, which Bullet does not read, as the text of an OBJ file, None for others."""
+    if path.suffix.lower() != ".stl" or _is_binary(path.read_bytes()):
+        return None
+    corners = stl_corners(path)
+    return wavefront([Piece(Convex(Mesh.of(corners, np.arange(len(corners)).reshape(-1, 3))))])
 
 
 def _is_binary(data: bytes) -> bool:
