@@ -75,7 +75,6 @@ class Rgb(CameraSensor):
 
     :param shadow: render shadows. Without shadows, ``depth`` sensors with this camera share its rendering
     :param kwargs: parameters of :class:`CameraSensor`
-    :raises ValueError: a parameter is out of range
     """
 
     def __init__(self, scene: Scene, shadow: bool = True, **kwargs: Any) -> None:
@@ -120,7 +119,6 @@ class PointCloud(Sensor):
     repetitions if there are fewer points than requested. Without a point the reading is zeros.
 
     :param points: number of points
-    :raises ValueError: ``points`` is out of range
     """
 
     def __init__(self, scene: Scene, points: int = 1024) -> None:

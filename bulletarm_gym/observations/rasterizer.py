@@ -104,25 +104,6 @@ def _draw_triangle(
 
 
 @compiled
-def _project(
-    vertices: FloatArray,
-    matrix: FloatArray,
-    origin: tuple[float, float, float],
-    scale: float,
-    corners: FloatArray,
-) -> None:
-    """Write the image coordinates and heights of a mesh's vertices into ``corners``."""
-    for index in range(len(vertices)):
-        x, y, z = vertices[index, 0], vertices[index, 1], vertices[index, 2]
-        u = origin[0] + (matrix[0, 0] * x + matrix[0, 1] * y + matrix[0, 2] * z)
-        v = origin[1] + (matrix[1, 0] * x + matrix[1, 1] * y + matrix[1, 2] * z)
-        height = origin[2] + (matrix[2, 0] * x + matrix[2, 1] * y + matrix[2, 2] * z)
-        corners[index, 0] = _snap(u * scale, SUBPIXELS)
-        corners[index, 1] = _snap(v * scale, SUBPIXELS)
-        corners[index, 2] = _snap(height, HEIGHT_STEPS)
-
-
-@compiled
 def _draw_meshes(
     labels: Labels | None,
     vertices: FloatArray,
@@ -145,10 +126,17 @@ def _draw_meshes(
     for index in range(len(visible)):
         if not visible[index]:
             continue
-        x, y, z = positions[index]
-        origin = (x - square[0], y - square[1], z)
+        centre_x, centre_y, centre_z = positions[index]
         start, first_face, end, end_face = ranges[index]
-        _project(vertices[start:end], rotations[index], origin, size / square[2], corners)
+        matrix, scale = rotations[index], size / square[2]
+        for vertex in range(end - start):
+            x, y, z = vertices[start + vertex]
+            u = (centre_x - square[0]) + (matrix[0, 0] * x + matrix[0, 1] * y + matrix[0, 2] * z)
+            v = (centre_y - square[1]) + (matrix[1, 0] * x + matrix[1, 1] * y + matrix[1, 2] * z)
+            height = centre_z + (matrix[2, 0] * x + matrix[2, 1] * y + matrix[2, 2] * z)
+            corners[vertex, 0] = _snap(u * scale, SUBPIXELS)
+            corners[vertex, 1] = _snap(v * scale, SUBPIXELS)
+            corners[vertex, 2] = _snap(height, HEIGHT_STEPS)
         for face in range(first_face, end_face):
             _draw_triangle(image, labels, index + 1, corners, faces[face, 0], faces[face, 1], faces[face, 2])
     return image

@@ -121,17 +121,6 @@ def product(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
 
 
 @compiled
-def _axis_rotation(axis: FloatArray, angle: float, out: FloatArray) -> None:
-    """Write the rotation by an angle (rad) about a unit axis."""
-    c, s = math.cos(angle), math.sin(angle)
-    x, y, z = axis
-    t = 1.0 - c
-    out[0, 0], out[0, 1], out[0, 2] = t * x * x + c, t * x * y - s * z, t * x * z + s * y
-    out[1, 0], out[1, 1], out[1, 2] = t * x * y + s * z, t * y * y + c, t * y * z - s * x
-    out[2, 0], out[2, 1], out[2, 2] = t * x * z - s * y, t * y * z + s * x, t * z * z + c
-
-
-@compiled
 def advance(
     rotation: FloatArray, position: FloatArray, frames: Frames, joint: int, angle: float, spare: FloatArray
 ) -> None:
@@ -143,8 +132,12 @@ def advance(
     apply(rotation, translations[joint], spare[0, 0])
     position += spare[0, 0]
     product(rotation, rotations[joint], spare[0])
-    _axis_rotation(axes[joint], angle, spare[1])
-    product(spare[0], spare[1], rotation)
+    turned, (x, y, z), c, s = spare[1], axes[joint], math.cos(angle), math.sin(angle)
+    t = 1.0 - c
+    turned[0, 0], turned[0, 1], turned[0, 2] = t * x * x + c, t * x * y - s * z, t * x * z + s * y
+    turned[1, 0], turned[1, 1], turned[1, 2] = t * x * y + s * z, t * y * y + c, t * y * z - s * x
+    turned[2, 0], turned[2, 1], turned[2, 2] = t * x * z - s * y, t * y * z + s * x, t * z * z + c
+    product(spare[0], turned, rotation)
 
 
 @compiled
