@@ -50,10 +50,7 @@ THREADS = "OMP_NUM_THREADS"
 
 
 def check_environments(seconds: float) -> Iterator[Finding]:
-    """Yield the findings on the machine, the robots and the speed.
-
-    :param seconds: duration (s) of the speed measurement of each environment
-    """
+    """Yield the findings on the machine, the robots and, measured for some seconds each, the speed."""
     yield Finding("versions", ", ".join(f"{name} {version}" for name, version in versions().items()))
     advice = "the load average must be at most the number of cores. Trainings and this check are slower"
     is_busy = load_average() > (os.cpu_count() or 1)

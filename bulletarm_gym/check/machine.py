@@ -13,13 +13,7 @@ PACKAGES = ("bulletarm-gym", "gymnasium", "pybullet", "numpy", "numba", "torch",
 
 
 class Finding(NamedTuple):
-    """Result of a check.
-
-    :param what: subject of the check
-    :param value: measured value, with the threshold if there is one
-    :param advice: advice if the value is beyond the threshold, or empty
-    :param fails: whether environments do not work
-    """
+    """Subject and result of a check, advice if the value is beyond its threshold, and whether it failed."""
 
     what: str
     value: str

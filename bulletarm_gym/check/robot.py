@@ -40,16 +40,6 @@ GRID_STEP = 0.04
 """Distance (m) between two candidates for its position."""
 
 
-def reaches(model: RobotModel, pose: Pose) -> bool:
-    """Return True if a pose is in reach."""
-    return model.inverse(pose)[1] <= POSITION_TOLERANCE
-
-
-def reach_share(model: RobotModel, poses: Iterable[Pose]) -> float:
-    """Return the fraction of poses in reach."""
-    return float(np.mean([reaches(model, pose) for pose in poses]))
-
-
 def grid(limits: Limits, heights: Sequence[float], points: int, tilt: float = 0.0) -> Iterator[Pose]:
     """Yield a grid of tool poses at three yaws, upright or tilted (rad) in eight directions.
 
@@ -71,28 +61,21 @@ def largest_workspace(model: RobotModel) -> Limits | None:
         for near in np.arange(x + GRID_STEP, x + length - side, GRID_STEP).round(3).tolist():
             limits = [[near, near + side], [y - side / 2.0, y + side / 2.0], [FLOOR, top]]
             heights = (FLOOR, (FLOOR + top) / 2.0, top)
-            if all(reaches(model, pose) for pose in grid(limits, heights, 3)):
+            if all(model.inverse(pose)[1] <= POSITION_TOLERANCE for pose in grid(limits, heights, 3)):
                 return np.round(limits, 3).tolist()  # type: ignore[no-any-return]
     return None
 
 
-REACHING = "BulletArm/CloseLoopBlockReaching-v0"
 POINTS = 5
 """Number of positions along each side of a workspace."""
 HEIGHTS = {CLOSE_LOOP: (0.01, 0.13, 0.25), OPEN_LOOP: (0.02, 0.1, 0.25)}
 """Heights (m) of the fingertips in the default workspaces."""
 LOAD = 0.2
 """Mass (kg) of the object in the checks of torques and tracking."""
-CUBE, CUBE_SHARE = 0.05, 0.6
-"""Side length (m) of a cube of scale 1, and its maximum as a fraction of the stroke."""
-MAX_ERROR = 1e-3
-"""Maximum error (m or rad) of inverse kinematics."""
 MIN_MARGIN = 0.2
 """Minimum distance (rad) of a joint from its limits at the home pose."""
 MAX_DEVIATION = 5e-3
 """Maximum overlap of links, and error of the fingertips, of their distances and of a motion (m)."""
-MAX_STATIC = 0.8
-"""Maximum fraction of a joint's torque that holds the robot against gravity."""
 MAX_ANGLE = 0.05
 """Maximum angle (rad) between the opening direction and the x axis of the tool frame."""
 STEP = 0.05
@@ -136,7 +119,7 @@ def check_robot(model: RobotModel, workspace: Limits | None = None) -> Iterator[
     solved = [one for one in solutions if one.is_solved]
     worst = max((one.pose_error for one in solved), default=0.0)
     advice = "check the joints in the URDF"
-    yield _measured("inverse kinematics", worst, MAX_ERROR, "m or rad", advice)
+    yield _measured("inverse kinematics", worst, 1e-3, "m or rad", advice)
     yield _limits(model, solutions, _home(workspace))
     try:
         env = _make(model, workspace)
@@ -172,8 +155,9 @@ def _home(workspace: Limits | None) -> Pose:
 def _make(model: RobotModel, workspace: Limits | None, **parameters: Any) -> ManipulationEnv:
     if workspace is not None:
         parameters["workspace"] = [list(side) for side in workspace]
-    scale = min(1.0, CUBE_SHARE * model.gripper.stroke / CUBE)
-    env = gymnasium.make(REACHING, robot=model, object_scale_range=scale, **parameters).unwrapped
+    scale = min(1.0, 0.6 * model.gripper.stroke / 0.05)  # a cube of scale 1 has 5 cm
+    parameters |= {"robot": model, "object_scale_range": scale}
+    env = gymnasium.make("BulletArm/CloseLoopBlockReaching-v0", **parameters).unwrapped
     env.reset(seed=0)
     return env  # type: ignore[return-value]
 
@@ -190,7 +174,7 @@ def _reach(name: str, upright: list[Solution], tilted: list[Solution]) -> Findin
         f"{share:.0%} in reach upright (at least {MIN_REACH:.0%}), {tilted_share:.0%} tilted by 30 "
         f"degrees (at least {MIN_TILTED_REACH:.0%})"
     )
-    advice = "change base or posture (tools/reach.py compares bases), or pass a smaller workspace"
+    advice = "change base or posture, or pass a smaller workspace"
     is_small = share < MIN_REACH or tilted_share < MIN_TILTED_REACH
     return Finding(f"reach, {name}", value, advice if is_small else "", bool(share < MIN_REACH))
 
@@ -279,7 +263,7 @@ def _static_torques(robot: Robot, solved: Sequence[Solution]) -> Finding:
     torques = [robot.dynamics.torques(one.joints, still, still, LOAD) for one in solved] or [still]
     most = np.max(np.abs(torques) / robot.model.torques, axis=0)
     unit = f"of the torque of {robot.model.joints[int(most.argmax())]} for gravity and {LOAD} kg"
-    return _measured("torques", most.max(), MAX_STATIC, unit, "check force and the masses in the URDF")
+    return _measured("torques", most.max(), 0.8, unit, "check force and the masses in the URDF")
 
 
 def _tracking(model: RobotModel, workspace: Limits | None, mode: str, load: float) -> Finding:

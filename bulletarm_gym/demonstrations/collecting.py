@@ -4,7 +4,7 @@ import fcntl
 import json
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import closing, contextmanager
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -87,10 +87,7 @@ def collect(
 
 
 def _check_planner(planner: str, env: ManipulationEnv, noise: float) -> None:
-    """Check that a planner can be used with an environment.
-
-    :raises ValueError: it cannot, with the reason
-    """
+    """Raise ValueError with the reason if a planner cannot be used with an environment."""
     check_argument("planner", planner, choice(*PLANNERS))
     obstacles = {
         "only pick and place can be reversed, not close-loop actions": env.config.control != OPEN_LOOP,
@@ -156,10 +153,7 @@ def _play(
 
 
 def describe(env: ManipulationEnv) -> dict[str, Any]:
-    """Return the description of an environment in a file: its id, components, parameters and action ranges.
-
-    :raises ValueError: an object in the parameters has no import path
-    """
+    """Return the id, components, parameters and action ranges of an environment, as files hold them."""
     assert env.spec is not None
     for name, thing in env.objects.items():
         raise ValueError(f"env_kwargs must have import paths 'module:attribute', got {name}={thing!r}")
@@ -173,11 +167,7 @@ def describe(env: ManipulationEnv) -> dict[str, Any]:
 
 
 def checked_env(env: gymnasium.Env[Any, Any], argument: str) -> ManipulationEnv:
-    """Return the environment inside all wrappers.
-
-    :param argument: name of the argument in errors
-    :raises ValueError: it is of another package
-    """
+    """Return the environment inside all wrappers, or raise ValueError if it is of another package."""
     core = env.unwrapped
     if not isinstance(core, ManipulationEnv) or core.spec is None:
         must = "of an environment of this package or of a registered task"
@@ -186,11 +176,7 @@ def checked_env(env: gymnasium.Env[Any, Any], argument: str) -> ManipulationEnv:
 
 
 def writable_path(path: Path) -> Path:
-    """Return a path after a check, before the collection, that a file can be written to it.
-
-    :raises ValueError: it is a folder
-    :raises OSError: its folder cannot be made or written to
-    """
+    """Return a path to which a file can be written, or raise ValueError or OSError before a collection."""
     if path.is_dir():
         raise ValueError(f"path must be a file such as {path / 'demonstrations.h5'}, got the folder {path}")
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -289,7 +275,8 @@ class RecordDemonstrations(
 
     def _write(self) -> None:
         """Add the unsaved episodes and attempts to the file."""
-        with _locked(self._path):
+        with self._path.with_name(f".{self._path.name}.lock").open("a") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)  # other recorders of the file wait
             saved = self._saved()
             recorder = Recorder(self._about, None if saved is None else saved.image)
             for episode in self._unsaved:
@@ -300,10 +287,7 @@ class RecordDemonstrations(
         self._count, self._attempts, self._unsaved = len(merged), 0, []
 
     def _saved(self) -> Demonstrations | None:
-        """Return the content of the file, or None if there is no file.
-
-        :raises ValueError: it is of another environment or of other parameters
-        """
+        """Return the content of the file, which must fit the environment, or None if there is no file."""
         if not self._path.exists():
             return None
         found = load(self._path)
@@ -318,10 +302,7 @@ class RecordDemonstrations(
 
 
 def _recorded_env(env: gymnasium.Env[Any, Any]) -> ManipulationEnv:
-    """Return the environment inside all wrappers.
-
-    :raises ValueError: it is of another package, or a wrapper changes actions or observations
-    """
+    """Return the environment inside all wrappers, which must not change actions or observations."""
     core = checked_env(env, "env")
     while isinstance(env, gymnasium.Wrapper):
         kind = type(env)
@@ -333,12 +314,3 @@ def _recorded_env(env: gymnasium.Env[Any, Any]) -> ManipulationEnv:
             )
         env = env.env
     return core
-
-
-@contextmanager
-def _locked(path: Path) -> Iterator[None]:
-    """Make other recorders of a file wait."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.with_name(f".{path.name}.lock").open("a") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        yield

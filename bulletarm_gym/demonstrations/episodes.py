@@ -73,7 +73,6 @@ class Episode:
     initial_state: str
 
     def __len__(self) -> int:
-        """Return the number of steps."""
         return len(self.actions)
 
     @cached_property
@@ -148,7 +147,6 @@ class Demonstrations(Sequence[Episode]):
             temporary.write_bytes(self.image)
 
     def __len__(self) -> int:
-        """Return the number of episodes."""
         return self._count
 
     @overload
@@ -198,7 +196,6 @@ class Recorder:
         """Number of episodes that were begun."""
 
     def __len__(self) -> int:
-        """Return the number of episodes."""
         return len(self._episodes)
 
     def add(self, episode: Episode | None) -> None:
@@ -208,7 +205,10 @@ class Recorder:
             return
         group = self._episodes.create_group(str(len(self)))
         for key, values in episode.observations.items():
-            _write_observations(group.require_group("observations"), key, values)
+            is_height = key in HEIGHTS
+            stored = np.rint(values / HEIGHT).astype(np.uint16) if is_height else values
+            dataset = group.create_dataset(f"observations/{key}", data=stored, **PACKED)
+            dataset.attrs.update({"metres_per_count": HEIGHT} if is_height else {})
         for name in STEPS:
             group[name] = getattr(episode, name)
         if episode.seed is not None:
@@ -256,17 +256,9 @@ def atomic_path(path: Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-def _write_observations(group: h5py.Group, key: str, values: NDArray[Any]) -> None:
-    if key not in HEIGHTS:
-        group.create_dataset(key, data=values, **PACKED)
-        return
-    counts = np.rint(values / HEIGHT).astype(np.uint16)
-    group.create_dataset(key, data=counts, **PACKED).attrs["metres_per_count"] = HEIGHT
-
-
 def _read(group: h5py.Group) -> Episode:
     return Episode(
-        {key: _read_observations(dataset) for key, dataset in group["observations"].items()},
+        {key: _observations(dataset) for key, dataset in group["observations"].items()},
         group["actions"][()],
         group["rewards"][()],
         group["terminations"][()],
@@ -276,7 +268,7 @@ def _read(group: h5py.Group) -> Episode:
     )
 
 
-def _read_observations(dataset: h5py.Dataset) -> NDArray[Any]:
+def _observations(dataset: h5py.Dataset) -> NDArray[Any]:
     stored: NDArray[Any] = dataset[()]
     unit = dataset.attrs.get("metres_per_count")
     return stored if unit is None else (stored * unit).astype(np.float32)

@@ -143,7 +143,9 @@ def frames(
     :param observations: the n + 1 observations of :func:`observations`
     """
     for step, observation in zip(range(len(episode)), observations, strict=False):
-        yield {**observation, **_outcomes(episode, step)}
+        end = np.array([step + 1 == len(episode)])  # all episodes are successful
+        outcomes = {"next.reward": episode.rewards[step, None], "next.done": end, "next.success": end}
+        yield {**observation, "action": episode.actions[step], **outcomes}
 
 
 def observations(
@@ -160,7 +162,12 @@ def observations(
     :raises ValueError: the parameters of a camera are invalid, or two features have the same name
     """
     episode, state = demonstrations[number], State(env.scene)
-    sensors = {name: _camera(env, name, parameters) for name, parameters in cameras.items()}
+    sensors: dict[str, Sensor] = {}
+    for name, parameters in cameras.items():
+        try:
+            sensors[name] = Rgb(env.scene, **parameters)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"cameras: {name}: {error}") from error
     states = [name for name, source, _ in env.config.sensors if source == "state"]
     for step in replay(demonstrations, number, env):
         view = env.look()
@@ -208,25 +215,11 @@ def features(env: ManipulationEnv, frame: Mapping[str, NDArray[Any]]) -> dict[st
     }
 
 
-def _camera(env: ManipulationEnv, name: str, parameters: Mapping[str, Any]) -> Sensor:
-    try:
-        return Rgb(env.scene, **parameters)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"cameras: {name}: {error}") from error
-
-
 def _recorded(name: str, values: NDArray[Any]) -> tuple[str, NDArray[Any]]:
     is_image = values.ndim == 3
     is_color = is_image and values.dtype == np.uint8 and len(values) == 3
     prefix = IMAGES if is_color else "observation."
     return prefix + name, np.moveaxis(values, 0, -1) if is_image else values
-
-
-def _outcomes(episode: Episode, step: int) -> dict[str, NDArray[Any]]:
-    """Return the action and its results; all episodes are successful."""
-    end = np.array([step + 1 == len(episode)])
-    rewards = episode.rewards[step, None]
-    return {"action": episode.actions[step], "next.reward": rewards, "next.done": end, "next.success": end}
 
 
 @contextmanager

@@ -16,19 +16,12 @@ from bulletarm_gym.scene.state import STATE_TYPES, field_names
 
 
 def dumps(value: Any) -> str:
-    """Return a value as JSON.
-
-    :raises ValueError: it contains something other than numbers, text, bytes, None, and tuples, lists, dicts
-        and declared types of them
-    """
+    """Return numbers, text, bytes, None, tuples, lists, dicts and declared types of them as JSON."""
     return json.dumps(_encoded(value), separators=(",", ":"))
 
 
 def loads(text: str | bytes) -> Any:
-    """Return exactly the value that :func:`dumps` has written.
-
-    :raises ValueError: the text is not from :func:`dumps`, or has a type that no imported task declares
-    """
+    """Return exactly the value that :func:`dumps` has written, or raise ValueError."""
     try:
         return _decoded(json.loads(text))
     except TypeError as error:

@@ -17,9 +17,6 @@ from bulletarm_gym.env import ManipulationEnv
 if TYPE_CHECKING:
     from tensorflow_datasets.core import DatasetInfo
 
-VERSION = "1.0.0"
-EPISODES_A_FILE = 100
-
 
 def export_rlds(
     demonstrations: Demonstrations,
@@ -43,9 +40,7 @@ def export_rlds(
     Each step has the environment's ``instruction`` as ``language_instruction``, as in Open X-Embodiment.
 
     :param folder: new folder, written atomically
-    :param name: name of the dataset
     :param cameras: parameters of the sensor ``rgb``, by the names of cameras
-    :param object_poses: export the poses of the objects
     :return: ``folder``
     :raises FileExistsError: ``folder`` exists
     :raises ImportError: TensorFlow or TensorFlow Datasets is not installed
@@ -65,7 +60,7 @@ def export_rlds(
         arguments = (demonstrations, core, cameras, object_poses)
         first = next(steps(demonstrations[0], observations(0, *arguments), core.instruction))
         temporary.mkdir()
-        writer = tfds.core.SequentialWriter(_info(name, temporary, first), EPISODES_A_FILE)
+        writer = tfds.core.SequentialWriter(_info(name, temporary, first), max_examples_per_shard=100)
         writer.initialize_splits(["train"])
         for number in tqdm(range(len(demonstrations)), "rlds", unit="episode", disable=None):
             found = observations(number, *arguments)
@@ -116,6 +111,6 @@ def _info(name: str, folder: Path, step: Mapping[str, Any]) -> "DatasetInfo":
         discount_info=scalar,
         step_metadata_info={"language_instruction": tfds.features.Text()},
     )
-    version = tfds.core.Version(VERSION)
+    version = tfds.core.Version("1.0.0")
     identity = tfds.core.DatasetIdentity(name, version, str(folder), module_name=__name__)
     return rlds_base.build_info(config, identity)

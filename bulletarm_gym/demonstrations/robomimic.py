@@ -17,9 +17,6 @@ from bulletarm_gym.demonstrations.episodes import PACKED, Demonstrations, Episod
 from bulletarm_gym.demonstrations.exports import CAMERAS, observations, short_name
 from bulletarm_gym.env import ManipulationEnv
 
-GYM_TYPE = 2
-"""Type of an environment of Gym (robomimic, ``EnvType``)."""
-
 
 def export_robomimic(
     demonstrations: Demonstrations,
@@ -44,7 +41,6 @@ def export_robomimic(
 
     :param path: file, written atomically
     :param cameras: parameters of the sensor ``rgb``, by the names of cameras
-    :param object_poses: export the poses of the objects
     :param valid_ratio: fraction of the demonstrations in ``valid``, the last ones
     :return: ``path``
     :raises FileExistsError: ``path`` exists
@@ -65,11 +61,15 @@ def export_robomimic(
                 group = _write(data.create_group(name), demonstrations[index], list(found))
                 group.attrs["ep_meta"] = json.dumps({"lang": core.instruction})
             kwargs = demonstrations.about["configuration"]
-            env_args = {"env_name": demonstrations.env_id, "type": GYM_TYPE, "env_kwargs": kwargs}
+            gym_type = 2  # robomimic's EnvType
+            env_args = {"env_name": demonstrations.env_id, "type": gym_type, "env_kwargs": kwargs}
             data.attrs["env_args"] = json.dumps(env_args)
             data.attrs["total"] = sum(group.attrs["num_samples"] for group in data.values())
             first = len(names) - round(valid_ratio * len(names))
-            file["mask/train"], file["mask/valid"] = _text(names[:first]), _text(names[first:])
+            file["mask/train"], file["mask/valid"] = (
+                np.array(names[:first], "S"),
+                np.array(names[first:], "S"),
+            )
     return path
 
 
@@ -86,7 +86,3 @@ def _write(
         group.create_dataset(f"obs/{key}", data=values[:-1], **PACKED)
         group.create_dataset(f"next_obs/{key}", data=values[1:], **PACKED)
     return group
-
-
-def _text(names: Sequence[str]) -> NDArray[np.bytes_]:
-    return np.array(names, dtype="S")

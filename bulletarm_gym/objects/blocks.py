@@ -119,10 +119,7 @@ SHAPES: tuple[tuple[Sequence[Piece], Colour], ...] = (
 
 
 def packing_block(name: str, scale: float, number: int) -> BodySpec:
-    """Return one of the seven blocks to pack.
-
-    :param number: 0 to 6
-    """
+    """Return one of the seven blocks to pack, by its number from 0."""
     shape, colour = SHAPES[number]
     pieces = tuple(piece.scaled(SIDE * scale) for piece in shape)
     return BodySpec(name, pieces, MASS, friction=0.5, colour=colour)
@@ -190,10 +187,7 @@ def improvise_block(
 
 
 def improvise_blocks(name: str, scale: float, series: int) -> tuple[BodySpec, ...]:
-    """Return the 19 random blocks in random sizes, the same in every process.
-
-    :param series: number of a series of sizes; different slots use different ones
-    """
+    """Return the 19 random blocks in a numbered series of random sizes, the same in every process."""
     rng = np.random.default_rng((19, series))
     stretches, rises = rng.uniform(*STRETCH, len(DRAWINGS)), rng.uniform(*RISE, len(DRAWINGS))
     return tuple(

@@ -84,10 +84,7 @@ ALONG_X: Quaternion = (0.0, math.sqrt(0.5), 0.0, math.sqrt(0.5))
 
 
 def bottle(name: str, scale: float, number: int) -> BodySpec:
-    """Return one of the eight bottles, upright, its frame at the middle of its height.
-
-    :param number: 0 to 7
-    """
+    """Return one of the eight bottles, by its number from 0, its frame at the middle of its height."""
     width, high, profiles = BOTTLES[number]
     radius, height = corner_radius(BOTTLE_WIDTH * width * scale, BOTTLE_SIDES), BOTTLE_HEIGHT * high * scale
     pieces = [
@@ -152,8 +149,6 @@ def _bowl(scale: float) -> list[Piece]:
 
 bowl = Kind(_bowl, mass=0.1, colour=YELLOW)
 """Bowl that is open to the top, its frame on its axis at the middle of its height."""
-
-# Bins, trays, boxes and the pallet
 
 TRAY: Vector = (0.24, 0.16, 0.05)
 """Outer side lengths (m) of the tray for bottles (paper, Bottle Arrangement)."""

@@ -30,13 +30,9 @@ Ring = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Kind:
-    """Kind of object; a call ``kind(name, scale)`` returns its body.
+    """Kind of object; a call ``kind(name, scale)`` returns its body, of equal mass at every scale.
 
     :param pieces: the pieces at scale 1, or a function that returns them at a scale
-    :param mass: kg at every scale; 0 fixes the body to the world
-    :param friction: lateral friction coefficient
-    :param colour: red, green, blue and opacity, 0 to 1
-    :param angular_damping: see :class:`~bulletarm_gym.simulation.shapes.BodySpec`
     """
 
     pieces: Sequence[Piece] | Callable[[float], Iterable[Piece]]
@@ -46,11 +42,7 @@ class Kind:
     angular_damping: float = 0.0
 
     def __call__(self, name: str, scale: float = 1.0) -> BodySpec:
-        """Return the body.
-
-        :param name: name of the body, unique in its scene
-        :param scale: factor on its nominal size
-        """
+        """Return the body at a scale."""
         made = self.pieces
         pieces = made(scale) if callable(made) else (piece.scaled(scale) for piece in made)
         damping, colour = self.angular_damping, self.colour
@@ -81,11 +73,9 @@ def loft(rings: ArrayLike) -> Convex:
 
 
 def prism(outline: ArrayLike, length: float, axis: int = 2) -> Piece:
-    """Return a prism centred on the plane of its outline.
+    """Return a prism along an axis (0 for x, 2 for z), centred on the plane of its outline.
 
     :param outline: (n, 2) convex, counter-clockwise (m), along the other two axes
-    :param length: length (m) along the axis
-    :param axis: 0 for x, 2 for z
     """
     plane = np.asarray(outline, dtype=np.float64)
     return Piece(loft([np.insert(plane, axis, end, axis=1) for end in (-length / 2.0, length / 2.0)]))
@@ -102,10 +92,7 @@ def lathe(profile: Profile, sides: int = SIDES, pose: Pose = ORIGIN) -> Piece:
 
 
 def cylinder(radius: float, length: float, sides: int = SIDES, pose: Pose = ORIGIN) -> Piece:
-    """Return a cylinder along z, centred on its frame.
-
-    :param radius: radius (m) of the corners of its polygon
-    """
+    """Return a cylinder along z, centred on its frame; ``radius`` (m) is that of its polygon's corners."""
     return lathe([(radius, -length / 2.0), (radius, length / 2.0)], sides, pose)
 
 
@@ -120,9 +107,7 @@ def corner_radius(width: float, sides: int) -> float:
 def container(extents: Vector, wall: float, floor: float) -> tuple[Piece, ...]:
     """Return a box open to the top, its frame on the ground at its centre.
 
-    :param extents: outer side lengths (m)
-    :param wall: thickness (m) of the walls, which stand on the ground
-    :param floor: thickness (m) of the floor between them
+    :param extents: outer side lengths (m), of which walls and floor have a thickness (m)
     """
     x, y, z = extents
     ends = [block((wall, y, z), (sign * (x - wall) / 2.0, 0.0, z / 2.0)) for sign in (1.0, -1.0)]
@@ -139,15 +124,11 @@ def vessel(low: Ring, high: Ring, base: float, sectors: int = SECTORS) -> list[P
 
 def wall(low: Ring, high: Ring, sectors: int = SECTORS) -> list[Piece]:
     """Return the sectors of a wall between two rings."""
-    angles = [2.0 * math.pi * sector / sectors for sector in range(sectors + 1)]
-    return [_sector(low, high, start, end) for start, end in pairwise(angles)]
-
-
-def _sector(low: Ring, high: Ring, start: float, end: float) -> Piece:
     (inner, outer, bottom), (top_inner, top_outer, top) = low, high
     section = ((inner, bottom), (outer, bottom), (top_outer, top), (top_inner, top))
-    rings = [[(r * math.cos(angle), r * math.sin(angle), z) for r, z in section] for angle in (end, start)]
-    return Piece(loft(rings))
+    angles = [2.0 * math.pi * sector / sectors for sector in range(sectors + 1)]
+    rings = [[(r * math.cos(angle), r * math.sin(angle), z) for r, z in section] for angle in angles]
+    return [Piece(loft([end, start])) for start, end in pairwise(rings)]
 
 
 def superquadric(semi_axes: Vector, roundness: tuple[float, float], levels: int = 6) -> Piece:

@@ -1,7 +1,7 @@
 """Observations: views of the scene, the sensors that read them, and cameras."""
 
 from bulletarm_gym.observations.camera_sensors import Rgb
-from bulletarm_gym.observations.observer import SENSORS, Observer
+from bulletarm_gym.observations.observer import Observer
 from bulletarm_gym.observations.rasterizer import Window
 from bulletarm_gym.observations.sensor import Sensor, State
 from bulletarm_gym.observations.view import (
@@ -16,7 +16,6 @@ from bulletarm_gym.observations.view import (
 
 __all__ = [
     "MAX_HEIGHT",
-    "SENSORS",
     "ElevationMap",
     "Frame",
     "HeightRenderer",

@@ -8,16 +8,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from bulletarm_gym.config_checks import (
-    boolean,
-    check_argument,
-    choice,
-    field_of_view,
-    integer,
-    optional,
-    point,
-    render_size,
-)
+from bulletarm_gym import config_checks as checks
 from bulletarm_gym.geometry import rotate
 from bulletarm_gym.observations.cameras import look_at, side_cameras, viewpoint
 from bulletarm_gym.observations.sensor import Sensor
@@ -29,8 +20,6 @@ EYE, TARGET = (0.55, -0.45, 0.6), (0.0, 0.0, 0.05)
 """Default position and target (m) of a fixed camera, relative to the centre of a default workspace."""
 WRIST_EYE, WRIST_TARGET = (0.0, -0.1, 0.1), (0.0, 0.0, -0.03)
 """Default position and target (m) of a wrist camera, in the frame of the fingertips."""
-CLOUD_PIXELS = 128
-"""Pixels a side of the depth images behind a point cloud."""
 
 
 class CameraSensor(Sensor):
@@ -57,13 +46,13 @@ class CameraSensor(Sensor):
         mount: str = "world",
     ) -> None:
         super().__init__(scene)
-        self._on_wrist = check_argument("mount", mount, choice("world", "wrist")) == "wrist"
+        self._on_wrist = checks.check_argument("mount", mount, checks.choice("world", "wrist")) == "wrist"
         defaults = (WRIST_EYE, WRIST_TARGET) if self._on_wrist else viewpoint(scene, EYE, TARGET)
         self._mounted = look_at(
-            tuple(check_argument("position", position, optional(point)) or defaults[0]),
-            tuple(check_argument("target", target, optional(point)) or defaults[1]),
-            check_argument("fov", fov, field_of_view),
-            check_argument("size", size, render_size),
+            tuple(checks.check_argument("position", position, checks.optional(checks.point)) or defaults[0]),
+            tuple(checks.check_argument("target", target, checks.optional(checks.point)) or defaults[1]),
+            checks.check_argument("fov", fov, checks.field_of_view),
+            checks.check_argument("size", size, checks.render_size),
         )
 
     @property
@@ -86,12 +75,11 @@ class Rgb(CameraSensor):
 
     :param shadow: render shadows. Without shadows, ``depth`` sensors with this camera share its rendering
     :param kwargs: parameters of :class:`CameraSensor`
-    :raises ValueError: a parameter is out of range
     """
 
     def __init__(self, scene: Scene, shadow: bool = True, **kwargs: Any) -> None:
         super().__init__(scene, **kwargs)
-        shadow = check_argument("shadow", shadow, boolean)
+        shadow = checks.check_argument("shadow", shadow, checks.boolean)
         self._mounted = replace(self._mounted, shadow=shadow)
 
     @property
@@ -131,13 +119,12 @@ class PointCloud(Sensor):
     repetitions if there are fewer points than requested. Without a point the reading is zeros.
 
     :param points: number of points
-    :raises ValueError: ``points`` is out of range
     """
 
     def __init__(self, scene: Scene, points: int = 1024) -> None:
         super().__init__(scene)
-        self._count = check_argument("points", points, integer(1, 65536))
-        self._cameras = side_cameras(scene.config, CLOUD_PIXELS)
+        self._count = checks.check_argument("points", points, checks.integer(1, 65536))
+        self._cameras = side_cameras(scene.config, pixels=128)
 
     @property
     def cameras(self) -> Mapping[str, Camera]:

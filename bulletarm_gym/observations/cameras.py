@@ -22,16 +22,8 @@ RENDER = "render"
 """Name of the camera of ``render()``."""
 OVERVIEW = ((0.95, -0.95, 0.95), (-0.18, 0.0, 0.33))
 """Position and target (m) of the camera of ``render()``, relative to the centre of a default workspace."""
-CLOSE_UP = ((0.56, -0.4, 0.62), (0.0, 0.0, 0.03))
-"""Position and target (m) of the camera of close-ups, relative to the centre of a default workspace."""
-CLOSE_UP_FOV = 32.0
-"""Field of view (degrees) of that camera."""
-FILM_STEPS = 48
-"""Number of simulation steps of 1/240 s between two images of a film."""
 PIXELS = 240
 """Default pixels a side of close-ups."""
-MARK_HEIGHT = 0.3
-"""Length (m) of the vertical line of a mark."""
 MARK_REACH = 0.04
 """Distance (m) from a mark to the ends of its horizontal line."""
 SIZES = (0.3, 0.4)
@@ -46,17 +38,11 @@ SIDE_FOV = 35.6
 """Field of view (degrees) of the side cameras."""
 SIDE_PIXELS = 512
 """Pixels a side of the images of the side cameras in the point-cloud view."""
-SIDE_WORKSPACE = 0.4
-"""Side (m) of the largest workspace for which the side cameras keep their distance."""
 
 
 @dataclass(frozen=True)
 class SceneCamera:
-    """Camera of an environment.
-
-    :param look: function that returns the camera at present
-    :param world: world that it shows
-    """
+    """Camera of an environment; ``look`` returns it at present."""
 
     look: Callable[[], Camera]
     world: World
@@ -106,11 +92,8 @@ def viewpoint(scene: Scene, eye: Vector, target: Vector, scale: float | None = N
     (x, y), base = scene.config.centre, scene.robot.model.base
     frame = Pose.planar(x, y, 0.0, math.atan2(y - base.y, x - base.x))
     factor = _beyond(scene.config.workspace_size, SIZES) if scale is None else scale
-
-    def place(offset: Vector) -> Vector:
-        return frame.transform((factor * offset[0], factor * offset[1], factor * offset[2]))
-
-    return place(eye), place(target)
+    position, centre = (frame.transform((factor * x, factor * y, factor * z)) for x, y, z in (eye, target))
+    return position, centre
 
 
 def look_at(position: Vector, target: Vector, fov: float, size: Sequence[int]) -> Camera:
@@ -126,22 +109,16 @@ def look_at(position: Vector, target: Vector, fov: float, size: Sequence[int]) -
 
 
 def side_cameras(config: EnvConfig, pixels: int) -> tuple[Camera, Camera]:
-    """Return the two cameras at the workspace's sides, the lower y first (paper, Close-loop Environments).
-
-    :param pixels: pixels a side of their images
-    """
+    """Return the two cameras at the workspace's sides, the lower y first (paper, Close-loop Environments)."""
     x, y = config.centre
-    scale = max(1.0, config.workspace_size / SIDE_WORKSPACE)
+    scale = max(1.0, config.workspace_size / SIZES[1])
     eyes = [(x, y + side * scale, SIDE_HEIGHT * scale) for side in (-SIDE_DISTANCE, SIDE_DISTANCE)]
     first, second = (Camera(eye, (x, y, 0.0), SIDE_FOV, pixels, pixels, 0.1, 3.0 * scale) for eye in eyes)
     return first, second
 
 
 def render_camera(scene: Scene) -> Camera:
-    """Return the camera of ``render()``: the configured one, or one that shows arm and workspace.
-
-    :raises ParameterError: the configured position and target are the same point
-    """
+    """Return the camera of ``render()``: the configured one, or one that shows arm and workspace."""
     config, base = scene.config, scene.robot.model.base
     distance = math.dist(config.centre, (base.x, base.y))
     scale = max(_beyond(config.workspace_size, SIZES), _beyond(distance, REACHES))
@@ -154,11 +131,8 @@ def render_camera(scene: Scene) -> Camera:
 
 
 def close_up_camera(scene: Scene, pixels: int) -> Camera:
-    """Return a camera that shows the workspace from the front and above.
-
-    :param pixels: pixels a side of its images
-    """
-    return Camera(*viewpoint(scene, *CLOSE_UP), CLOSE_UP_FOV, pixels, pixels)
+    """Return a camera that shows the workspace from the front and above."""
+    return Camera(*viewpoint(scene, (0.56, -0.4, 0.62), (0.0, 0.0, 0.03)), 32.0, pixels, pixels)
 
 
 def _beyond(value: float, limits: tuple[float, float]) -> float:
@@ -167,10 +141,7 @@ def _beyond(value: float, limits: tuple[float, float]) -> float:
 
 
 class Viewer:
-    """Images and user input for playing.
-
-    :param scene: the scene to show
-    """
+    """Images and user input for playing."""
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
@@ -181,12 +152,10 @@ class Viewer:
         return close_up_camera(self._scene, pixels).color(self._scene.world)
 
     @contextmanager
-    def film(self, render: Callable[[], Any], every: int = FILM_STEPS) -> Iterator[list[Any]]:
-        """Collect the images of the simulation inside the context.
+    def film(self, render: Callable[[], Any], every: int = 48) -> Iterator[list[Any]]:
+        """Collect images of the simulation inside the context, in the growing list that it yields.
 
-        :param render: function that returns an image
         :param every: number of simulation steps between two images; by default 0.2 s
-        :return: context manager whose value is the growing list of images
         """
         images: list[Any] = []
         count = itertools.count(1)
@@ -212,10 +181,7 @@ class Viewer:
         look(scene.world, camera.eye, camera.target)
 
     def pressed_keys(self) -> list[str]:
-        """Return the characters of the keys that were pressed in the window since the last call.
-
-        :raises RuntimeError: the environment's ``render_mode`` is not ``"human"``
-        """
+        """Return the characters of the keys that were pressed in the window since the last call."""
         mode = self._scene.config.render_mode
         if mode != "human":
             raise RuntimeError(f"render_mode must be 'human' for pressed_keys(), got {mode!r}")
@@ -226,15 +192,11 @@ class Viewer:
         return Keyboard(self._scene.world)
 
     def mark(self, position: Vector, yaw: float = 0.0) -> None:
-        """Draw a target pose of the gripper in the window.
-
-        :param position: position (m) of the fingertips in the world
-        :param yaw: yaw (rad) of the gripper, whose fingers open along this direction
-        """
+        """Draw a target position (m, world) and yaw (rad) of the fingertips in the window."""
         x, y, z = position
         right, ahead = MARK_REACH * math.cos(yaw), MARK_REACH * math.sin(yaw)
         lines = [
-            (position, (x, y, z + MARK_HEIGHT)),
+            (position, (x, y, z + 0.3)),
             ((x - right, y - ahead, z), (x + right, y + ahead, z)),
         ]
         self._mark = draw_segments(self._scene.world, lines, self._mark)

@@ -65,10 +65,7 @@ def heightmap(heights: Heights, frame: Frame) -> Heights:
 
 
 class LabelImage(Sensor):
-    """Image with a value for each visible mesh, see :attr:`View.labels`.
-
-    :raises ValueError: the parameter ``view`` is not ``"orthographic"``
-    """
+    """Orthographic image with a value for each visible mesh, see :attr:`View.labels`."""
 
     channels = 1
 

@@ -17,7 +17,6 @@ from bulletarm_gym.observations.sensor import Holding, JointState, Sensor, State
 from bulletarm_gym.observations.view import View
 from bulletarm_gym.registry import SENSORS as REGISTRY
 from bulletarm_gym.scene import Scene
-from bulletarm_gym.simulation import Camera
 
 SENSORS: dict[str, type[Sensor]] = {
     "heightmap": Heightmap,
@@ -37,8 +36,6 @@ SENSORS: dict[str, type[Sensor]] = {
 class Observer:
     """Reads the sensors that ``observation`` lists.
 
-    :param config: the environment's parameters
-    :param scene: scene that the sensors observe
     :raises ParameterError: a sensor is unknown, does not fit the control or the view, or has wrong parameters
     """
 
@@ -47,7 +44,7 @@ class Observer:
             name: _make(config, name, source, parameters, scene)
             for name, source, parameters in config.sensors
         }
-        self.follows = any(sensor.follows for sensor in self._sensors.values())
+        self.follows = any(type(one).follow is not Sensor.follow for one in self._sensors.values())
         self.space = spaces.Dict({name: sensor.space for name, sensor in self._sensors.items()})
         render = render_camera(scene)
         self.cameras = {RENDER: SceneCamera(lambda: render, scene.world)}
@@ -57,13 +54,11 @@ class Observer:
                 if name + suffix in self.cameras:
                     must = f"sensors with other names: two cameras would be called {name + suffix!r}"
                     raise ParameterError.of("observation", config.observation, must)
-                self.cameras[name + suffix] = SceneCamera(partial(_camera, sensor, suffix), scene.world)
+                look = partial(lambda sensor, suffix: sensor.cameras[suffix], sensor, suffix)
+                self.cameras[name + suffix] = SceneCamera(look, scene.world)
 
     def read(self, view: View) -> dict[str, NDArray[Any]]:
-        """Return the observation.
-
-        :raises ValueError: a sensor does not return an array of its space
-        """
+        """Return the observation, or raise ValueError if a sensor does not return an array of its space."""
         return {
             name: _checked(name, sensor.read(view), self.space[name])
             for name, sensor in self._sensors.items()
@@ -84,16 +79,8 @@ class Observer:
             sensor.memory = memory.get(name)
 
 
-def _camera(sensor: Sensor, suffix: str) -> Camera:
-    return sensor.cameras[suffix]
-
-
 def _make(config: EnvConfig, name: str, source: str, parameters: Mapping[str, Any], scene: Scene) -> Sensor:
-    """Return a sensor.
-
-    :param source: name of the sensor or its import path
-    :raises ParameterError: the sensor is unknown, does not fit, or has wrong parameters
-    """
+    """Return a sensor, or raise ParameterError if it is unknown, does not fit, or has wrong parameters."""
     kind = REGISTRY.find(source, "observation")
     if config.control not in kind.controls:
         must = f"sensors of {config.control}, without {name!r} of {' and '.join(kind.controls)}"

@@ -104,25 +104,6 @@ def _draw_triangle(
 
 
 @compiled
-def _project(
-    vertices: FloatArray,
-    matrix: FloatArray,
-    origin: tuple[float, float, float],
-    scale: float,
-    corners: FloatArray,
-) -> None:
-    """Write the image coordinates and heights of a mesh's vertices into ``corners``."""
-    for index in range(len(vertices)):
-        x, y, z = vertices[index, 0], vertices[index, 1], vertices[index, 2]
-        u = origin[0] + (matrix[0, 0] * x + matrix[0, 1] * y + matrix[0, 2] * z)
-        v = origin[1] + (matrix[1, 0] * x + matrix[1, 1] * y + matrix[1, 2] * z)
-        height = origin[2] + (matrix[2, 0] * x + matrix[2, 1] * y + matrix[2, 2] * z)
-        corners[index, 0] = _snap(u * scale, SUBPIXELS)
-        corners[index, 1] = _snap(v * scale, SUBPIXELS)
-        corners[index, 2] = _snap(height, HEIGHT_STEPS)
-
-
-@compiled
 def _draw_meshes(
     labels: Labels | None,
     vertices: FloatArray,
@@ -145,10 +126,17 @@ def _draw_meshes(
     for index in range(len(visible)):
         if not visible[index]:
             continue
-        x, y, z = positions[index]
-        origin = (x - square[0], y - square[1], z)
+        centre_x, centre_y, centre_z = positions[index]
         start, first_face, end, end_face = ranges[index]
-        _project(vertices[start:end], rotations[index], origin, size / square[2], corners)
+        matrix, scale = rotations[index], size / square[2]
+        for vertex in range(end - start):
+            x, y, z = vertices[start + vertex]
+            u = (centre_x - square[0]) + (matrix[0, 0] * x + matrix[0, 1] * y + matrix[0, 2] * z)
+            v = (centre_y - square[1]) + (matrix[1, 0] * x + matrix[1, 1] * y + matrix[1, 2] * z)
+            height = centre_z + (matrix[2, 0] * x + matrix[2, 1] * y + matrix[2, 2] * z)
+            corners[vertex, 0] = _snap(u * scale, SUBPIXELS)
+            corners[vertex, 1] = _snap(v * scale, SUBPIXELS)
+            corners[vertex, 2] = _snap(height, HEIGHT_STEPS)
         for face in range(first_face, end_face):
             _draw_triangle(image, labels, index + 1, corners, faces[face, 0], faces[face, 1], faces[face, 2])
     return image
@@ -167,10 +155,8 @@ def _draw_rectangles(
         across_x, across_y = -0.5 * width * math.sin(yaw), 0.5 * width * math.cos(yaw)
         for corner in range(3):
             along, across = (1.0 if corner == 1 else -1.0), (1.0 if corner == 2 else -1.0)
-            corner_x, corner_y = (
-                x + along * along_x + across * across_x,
-                y + along * along_y + across * across_y,
-            )
+            corner_x = x + along * along_x + across * across_x
+            corner_y = y + along * along_y + across * across_y
             corners[corner, 0] = _snap((corner_x - square[0]) * scale, SUBPIXELS)
             corners[corner, 1] = _snap((corner_y - square[1]) * scale, SUBPIXELS)
         corners[3, :2] = corners[1, :2] + corners[2, :2] - corners[0, :2]
@@ -210,14 +196,10 @@ def project_points(points: FloatArray, window: Window, ceiling: float) -> NDArra
 
 
 class ZBuffer:
-    """Z-buffer that looks straight down on a fixed list of n meshes.
+    """Z-buffer that looks straight down on a fixed list of n meshes; faces that look down are never drawn.
 
-    Heights are those under pixel centres, not averages over pixels. With ``resolution = extent / size``,
-    pixel ``(i, j)`` covers world x from ``centre[0] - extent / 2 + i * resolution`` to one resolution more,
-    and y with ``j`` likewise. A rotation of scene and window by +90 degrees about z,
-    ``(x, y) -> (-y, x)``, rotates the image by ``np.rot90(image, k=1)``, bit for bit.
-
-    :param meshes: closed or open meshes; faces that look down are never drawn
+    Heights are those under pixel centres, not averages over pixels. A rotation of scene and window by
+    ``(x, y) -> (-y, x)`` rotates the image by ``np.rot90(image, k=1)``, bit for bit.
     """
 
     def __init__(self, meshes: Sequence[Mesh]) -> None:

@@ -62,11 +62,6 @@ class Sensor(ABC):
         :param pick: target pose of the fingertips, if the action was an open-loop pick
         """
 
-    @property
-    def follows(self) -> bool:
-        """Return True if the sensor defines :meth:`follow`."""
-        return type(self).follow is not Sensor.follow
-
 
 class Holding(Sensor):
     """1 while the gripper holds an object, else 0."""

@@ -98,10 +98,7 @@ class Frame:
 
 
 class HeightRenderer:
-    """Renderer of heightmaps, without the arm; :meth:`of` returns the one of a scene.
-
-    :param scene: scene with all bodies loaded
-    """
+    """Renderer of heightmaps, without the arm; :meth:`of` returns the one of a scene."""
 
     def __init__(self, scene: Scene) -> None:
         self._world, self._config, self._arm = scene.world, scene.config, scene.robot.body
@@ -200,12 +197,7 @@ class HeightRenderer:
 class View:
     """View of the scene from straight above, rendered once at first access.
 
-    It must be accessed before the scene changes.
-
-    :param scene: scene that is shown
-    :param frame: square that is shown
-    :param overlays: overlays of the heightmap
-    :param measure: errors of depth cameras, by default none
+    It must be accessed before the scene changes. ``measure`` adds the errors of depth cameras.
     """
 
     def __init__(
@@ -244,10 +236,7 @@ class View:
 
     @cached_property
     def labels(self) -> Labels:
-        """Number of the visible mesh of each pixel, (size, size), see :meth:`HeightRenderer.labels`.
-
-        :raises RuntimeError: a body has moved since
-        """
+        """Number of the visible mesh of each pixel, (size, size), see :meth:`HeightRenderer.labels`."""
         if not self.is_current:
             raise RuntimeError("labels must be read before the scene changes")
         return HeightRenderer.of(self._scene).labels(self.window, self._hidden)
@@ -275,10 +264,7 @@ class View:
 
 
 def measure(scene: Scene) -> dict[str, float]:
-    """Return a dict whose values grow by the seconds of simulation steps and of heightmaps from now on.
-
-    Its keys are ``"physics"`` and ``"rendering"``.
-    """
+    """Return a dict that counts the seconds of simulation steps and heightmaps from now on."""
     seconds = {"physics": 0.0, "rendering": 0.0}
 
     def timed(part: str, function: Callable[..., Any]) -> Callable[..., Any]:

@@ -48,8 +48,6 @@ class Teleoperation:
 
     With a closed-loop control each key is a step, and the gripper keeps its opening. With an open-loop
     control keys move a target, and :data:`GRIPPER` picks or places at the target.
-
-    :param env: environment in which the actions are carried out
     """
 
     def __init__(self, env: ManipulationEnv) -> None:
@@ -114,8 +112,6 @@ PIXELS = 320
 """Side length of an image of the scene."""
 RADIUS = 7
 """Radius (pixels) of the mark of an open-loop target."""
-POLL = 0.02
-"""Time (s) between two queries of the keys of the window."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -148,12 +144,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 class Game:
-    """Episodes that a person plays.
-
-    :param env: environment; ``render_mode`` "human" selects the keys of the window instead of letters
-    :param folder: folder of the images that are written without a window
-    :param seed: seed of the first episode
-    """
+    """Episodes that a person plays, by keys of the window, or by letters with images in a folder."""
 
     def __init__(self, env: gymnasium.Env[Any, Any], folder: Path, seed: int) -> None:
         self.env, self.folder, self.seed = env, folder, seed
@@ -165,7 +156,8 @@ class Game:
     def play(self, episodes: int | None = None) -> None:
         """Play until the last episode, the quit key or the end of the keys."""
         self._begin()
-        for key in self._window_keys() if self.has_window else _letters():
+        letters = (key for line in sys.stdin for key in "".join(line.split()))
+        for key in self._window_keys() if self.has_window else letters:
             if key == QUIT:
                 return
             if key == NEW_EPISODE or self._act(key):
@@ -221,17 +213,13 @@ class Game:
         heights = self.observation["heightmap"][0]
         gray = np.uint8(255 * heights / max(heights.max(), 1e-6))
         panel = Image.fromarray(gray).resize((PIXELS, PIXELS), Image.Resampling.NEAREST).convert("RGB")
-        if self.teleoperation.has_target:
-            self._draw_target(ImageDraw.Draw(panel))
+        if self.teleoperation.has_target:  # a circle, and a line in which the fingers open
+            target: Any = self.core.decode_action(self.teleoperation.target())
+            (y, x), yaw, draw = self.teleoperation.pixel(PIXELS), target.rotation[0], ImageDraw.Draw(panel)
+            down, right = 2 * RADIUS * math.cos(yaw), 2 * RADIUS * math.sin(yaw)
+            draw.ellipse((x - RADIUS, y - RADIUS, x + RADIUS, y + RADIUS), outline="red", width=2)
+            draw.line((x - right, y - down, x + right, y + down), fill="red", width=2)
         return Image.fromarray(np.hstack([scene, np.asarray(panel)]))
-
-    def _draw_target(self, draw: ImageDraw.ImageDraw) -> None:
-        """Draw a circle at the target, and a line in the direction in which the fingers open."""
-        target: Any = self.core.decode_action(self.teleoperation.target())
-        (y, x), yaw = self.teleoperation.pixel(PIXELS), target.rotation[0]
-        down, right = 2 * RADIUS * math.cos(yaw), 2 * RADIUS * math.sin(yaw)
-        draw.ellipse((x - RADIUS, y - RADIUS, x + RADIUS, y + RADIUS), outline="red", width=2)
-        draw.line((x - right, y - down, x + right, y + down), fill="red", width=2)
 
     def _window_keys(self) -> Iterator[str]:
         while True:
@@ -240,13 +228,7 @@ class Game:
             except Exception as error:  # PyBullet's error after the window was closed
                 print(f"the window was closed ({error})")
                 return
-            time.sleep(POLL)
-
-
-def _letters() -> Iterator[str]:
-    """Yield the characters of the standard input, without white space."""
-    for line in sys.stdin:
-        yield from "".join(line.split())
+            time.sleep(0.02)
 
 
 if __name__ == "__main__":

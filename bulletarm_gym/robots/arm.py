@@ -1,8 +1,7 @@
 """The joints of a robot in a world: measurements and inverse kinematics."""
 
-import itertools
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import lru_cache
 
@@ -15,18 +14,12 @@ from bulletarm_gym.simulation import Body, BodySpec, Contact, World
 from bulletarm_gym.simulation.motion import MAX_DEPTH, JointGroup, add_gear_constraint
 from bulletarm_gym.simulation.world import NEAR
 
-REFERENCE_DISTANCE = 0.05
-"""Length (m) of a closed-loop step (paper, Close-Loop 4D Benchmark)."""
-MIN_STEPS = 6
-"""Minimum number of simulation steps of a motion."""
 YAW_RADIUS = 0.06
 """Distance (m) per rad of rotation about the tool's z axis: half an open gripper and its fingers."""
 TILT_RADIUS = 0.25
 """Distance (m) per rad of tilt: from the fingertips to the wrist of an arm."""
 MAX_SAG = 0.2
 """Maximum distance of a motion from the straight line relative to its length."""
-TRANSFER_HEIGHT = 0.4
-"""Height (m) of simulated motions across a workspace."""
 
 
 def path_length(start: Pose, end: Pose) -> float:
@@ -35,30 +28,6 @@ def path_length(start: Pose, end: Pose) -> float:
     yaw = 2.0 * math.atan2(abs(z), abs(w))
     tilt = 2.0 * math.atan2(math.hypot(x, y), math.hypot(z, w))
     return max(math.dist(start.position, end.position), YAW_RADIUS * yaw, TILT_RADIUS * tilt)
-
-
-def is_straight(start: Pose, middle: Pose, end: Pose) -> bool:
-    """Return True if the middle of a motion is near the straight line between its ends."""
-    off = math.dist(middle.position, interpolate(start, end, 0.5).position)
-    return off < MAX_SAG * path_length(start, end)
-
-
-def transfer_stops(start: Pose, end: Pose) -> Iterator[Pose]:
-    """Yield the poses of a path up, across and down, in steps of at most :data:`REFERENCE_DISTANCE`."""
-    level = max(start.z, end.z, TRANSFER_HEIGHT)
-    over = [Pose.planar(pose.x, pose.y, level, pose.yaw) for pose in (start, end)]
-    for before, after in itertools.pairwise([start, *over, end]):
-        count = max(1, math.ceil(path_length(before, after) / REFERENCE_DISTANCE))
-        yield from (interpolate(before, after, number / count) for number in range(1, count + 1))
-
-
-def motion_steps(length: float, reference_steps: int) -> int:
-    """Return the number of simulation steps of a motion with the acceleration of a reference motion.
-
-    :param length: length (m) of the motion
-    :param reference_steps: number of steps of a motion over :data:`REFERENCE_DISTANCE`
-    """
-    return max(MIN_STEPS, math.ceil(reference_steps * math.sqrt(length / REFERENCE_DISTANCE)))
 
 
 MAX_JOINT_CHANGE = math.pi
@@ -99,8 +68,6 @@ class Arm:
             (j, low, high) for j, (low, high) in enumerate(limits) if high - low >= math.tau
         ]
 
-    # Measurements
-
     @property
     def pose(self) -> Pose:
         """Tool pose."""
@@ -131,11 +98,6 @@ class Arm:
         return self.pose.compose(Pose((0.0, 0.0, height), (1.0, 0.0, 0.0, 0.0)))
 
     @property
-    def contacts(self) -> list[Contact]:
-        """Contacts of the robot in the last simulation step; empty after a motion without simulation."""
-        return self.world.contacts(self.body)
-
-    @property
     def finger_links(self) -> list[int]:
         """Indices of the finger links in Bullet."""
         return self._fingers.joints
@@ -162,8 +124,6 @@ class Arm:
     def show_joints(self, positions: Sequence[float]) -> None:
         """Set the arm joints (rad) for a query of the world, until the next motion begins."""
         self.world.show_joints(self.body, self._arm.moved(self.world, positions))
-
-    # Inverse kinematics
 
     def inverse_kinematics(self, pose: Pose) -> tuple[float, ...]:
         """Return joint positions (rad) inside the limits for a tool pose.
@@ -204,10 +164,13 @@ class Arm:
         return self._is_straight(pose, goal) or self.wrist_room(pose) > self.wrist_room()
 
     def _is_straight(self, pose: Pose, goal: Sequence[float]) -> bool:
+        """Return True if the middle of a joint motion is near the straight line to a pose."""
         now = self.joint_positions
         if max(_changes(now[:-1], goal[:-1])) < STRAIGHT_JOINT_CHANGE:
             return True
-        return is_straight(self.pose, self.model.chain.forward((np.array(now) + goal) / 2.0), pose)
+        middle = self.model.chain.forward((np.array(now) + goal) / 2.0)
+        off = math.dist(middle.position, interpolate(self.pose, pose, 0.5).position)
+        return off < MAX_SAG * path_length(self.pose, pose)
 
     def wrist_room(self, pose: Pose | None = None) -> float:
         """Return the distance (rad) of the last joint from its nearer limit, now or at a pose in reach."""
@@ -254,7 +217,8 @@ class CollidingArm(Arm):
         if lowest <= FREE_CLEARANCE:
             return False
         others = [body for body in self._bodies_above(lowest - FREE_CLEARANCE) if body is not held]
-        return not any(self._is_near(mover, body) for body in others for mover in self._movers)
+        movers = self._movers
+        return not any(self.world.are_near(one, body, FREE_CLEARANCE) for body in others for one in movers)
 
     def is_free_at(self, pose: Pose, bodies: Sequence[Body]) -> bool:
         """Return True if the robot at a pose in reach would touch none of some bodies."""
@@ -268,10 +232,7 @@ class CollidingArm(Arm):
 
     def _is_free_with(self, joints: Sequence[float], bodies: Sequence[Body]) -> bool:
         self.world.show_joints(self.body, joints)
-        return not any(self._is_near(self.body, body) for body in bodies)
-
-    def _is_near(self, mover: Body, body: Body) -> bool:
-        return not math.isinf(self.world.distance(mover, body, FREE_CLEARANCE))
+        return not any(self.world.are_near(self.body, body, FREE_CLEARANCE) for body in bodies)
 
     def _bodies_above(self, height: float) -> list[Body]:
         return [body for body in self.world.obstacles if self.world.top(body) > height]
@@ -299,8 +260,6 @@ class CollidingArm(Arm):
             if not any(abs(n[0] * x + n[1] * y + n[2] * z) > GRIP_ALIGNMENT for n in normals):
                 return False
         return True
-
-    # Penetrations
 
     def _penetrated(self, mover: Body) -> list[Body]:
         """Return the bodies that a body penetrated in the last simulation step."""

@@ -8,30 +8,14 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from bulletarm_gym.geometry import Pose, Vector, conjugate, euler_pose, rotate
-from bulletarm_gym.simulation.urdf import (
-    add_geometry,
-    add_inertial,
-    add_joint,
-    add_material,
-    children_of,
-    end_of,
-    find_joint,
-    find_link,
-    find_root,
-    number_of,
-    pose_at,
-    text_of,
-)
-
-FINGER_EFFORT, FINGER_SPEED = 50.0, 1.0
-"""Limits (N, m/s) of a finger on a slide in the URDF. The gripper has its own."""
+from bulletarm_gym.simulation import urdf
 
 
 def joints_below(root: Element, link: str) -> list[Element]:
     """Return the joints of all links that are attached to a link."""
     found = []
-    for joint in children_of(root, link):
-        found += [joint, *joints_below(root, end_of(joint, "child"))]
+    for joint in urdf.children_of(root, link):
+        found += [joint, *joints_below(root, urdf.end_of(joint, "child"))]
     return found
 
 
@@ -44,9 +28,9 @@ def without(root: Element, *links: str) -> Element:
     :raises ValueError: the model has no such link
     """
     for name in links:
-        link = find_link(root, name)
+        link = urdf.find(root, "link", name)
         _remove_attached(root, name)
-        for joint in [joint for joint in root.findall("joint") if end_of(joint, "child") == name]:
+        for joint in [joint for joint in root.findall("joint") if urdf.end_of(joint, "child") == name]:
             root.remove(joint)
         root.remove(link)
     return root
@@ -56,8 +40,8 @@ def _remove_attached(root: Element, link: str, kept: tuple[str, ...] = ()) -> No
     """Remove all joints and links attached to a link, except some links."""
     for joint in joints_below(root, link):
         root.remove(joint)
-        if (child := end_of(joint, "child")) not in kept:
-            root.remove(find_link(root, child))
+        if (child := urdf.end_of(joint, "child")) not in kept:
+            root.remove(urdf.find(root, "link", child))
 
 
 def check_element(name: str, value: object) -> None:
@@ -77,12 +61,12 @@ def attach(root: Element, link: str, other: Element, mount: Pose) -> Element:
     :raises ValueError: there is no such link, or ``other`` is not the element ``<robot>``
     """
     check_element("other", other)
-    find_link(root, link)
-    base = find_root(other).get("name", "")
+    urdf.find(root, "link", link)
+    base = urdf.find_root(other).get("name", "")
     materials = {material.get("name") for material in root.findall("material")}
     root.extend(material for material in other.findall("material") if material.get("name") not in materials)
     root.extend([*other.findall("link"), *other.findall("joint")])
-    add_joint(root, "fixed", f"{link}_{base}_mount", (link, base), mount, (1.0, 0.0, 0.0))
+    urdf.add_joint(root, "fixed", f"{link}_{base}_mount", (link, base), mount, (1.0, 0.0, 0.0))
     return root
 
 
@@ -103,8 +87,8 @@ def on_slides(
     :raises ValueError: a joint or the carrier is missing or not attached, or ``opened`` does not open the
         fingers
     """
-    find_link(root, carrier)
-    children = tuple(end_of(find_joint(root, name), "child") for name in fingers)
+    urdf.find(root, "link", carrier)
+    children = tuple(urdf.end_of(urdf.find(root, "joint", name), "child") for name in fingers)
     met = [_pose_in(root, carrier, child, closed) for child in children]
     apart = [_pose_in(root, carrier, child, opened) for child in children]
     across = np.subtract(apart[0].position, apart[1].position)
@@ -119,9 +103,8 @@ def on_slides(
                 f'got {opened:g}. Add <mimic multiplier="-1"/> to a joint that moves against the driving one.'
             )
         axis = rotate(conjugate(met[index].orientation), (x, y, z))
-        links, limits = (carrier, children[index]), (0.0, travel)
-        kind, name = "prismatic", fingers[index]
-        add_joint(root, kind, name, links, met[index], axis, limits, FINGER_EFFORT, FINGER_SPEED)
+        links = (carrier, children[index])
+        urdf.add_joint(root, "prismatic", fingers[index], links, met[index], axis, (0.0, travel))
     return root
 
 
@@ -129,13 +112,15 @@ def _pose_in(root: Element, carrier: str, link: str, driven: float) -> Pose:
     """Return the pose of a link in a carrier at a position (rad or m) of the driving joint."""
     if link == carrier:
         return Pose((0.0, 0.0, 0.0))
-    joint = next((joint for joint in root.findall("joint") if end_of(joint, "child") == link), None)
+    joint = next((joint for joint in root.findall("joint") if urdf.end_of(joint, "child") == link), None)
     if joint is None:
         raise ValueError(f"fingers must be attached to the link {carrier!r}, got one attached to {link!r}")
     mimic, position = joint.find("mimic"), driven
     if mimic is not None:
-        position = number_of(mimic, "multiplier", "1") * driven + number_of(mimic, "offset")
-    return _pose_in(root, carrier, end_of(joint, "parent"), driven).compose(pose_at(joint, position))
+        position = urdf.number_of(mimic, "multiplier", "1") * driven + urdf.number_of(mimic, "offset")
+    return _pose_in(root, carrier, urdf.end_of(joint, "parent"), driven).compose(
+        urdf.pose_at(joint, position)
+    )
 
 
 RGB: TypeAlias = tuple[float, float, float]
@@ -162,19 +147,16 @@ class Primitive:
     solid: bool = True
 
     def add_to(self, link: Element, frame: Pose | None = None, visible: bool = True) -> None:
-        """Add the visual and the collision element to a link.
-
-        :param frame: pose in the link of the frame that the primitive is in, by default the link's frame
-        """
+        """Add the visual and the collision element to a link, at a pose in a frame of the link."""
         pose = self.pose if frame is None else frame.compose(self.pose)
         x, _, z = self.extents
         size = {"radius": repr(x / 2.0), "length": repr(z)}
         if self.kind == "box":
-            size = {"size": text_of(self.extents)}
+            size = {"size": urdf.text_of(self.extents)}
         if visible:
-            add_material(add_geometry(link, "visual", self.kind, pose, **size), (*self.colour, 1.0))
+            urdf.add_material(urdf.add_geometry(link, "visual", self.kind, pose, **size), (*self.colour, 1.0))
         if self.solid:
-            add_geometry(link, "collision", self.kind, pose, **size)
+            urdf.add_geometry(link, "collision", self.kind, pose, **size)
 
 
 def box(extents: Vector, centre: Vector, colour: RGB, tilt: float = 0.0, solid: bool = True) -> Primitive:
@@ -193,6 +175,6 @@ def add_link(root: Element, name: str, mass: float, primitives: Sequence[Primiti
     Bullet computes the inertia from the collision shapes.
     """
     link = SubElement(root, "link", name=name)
-    add_inertial(link, primitives[0].pose, mass, np.eye(3).tolist())
+    urdf.add_inertial(link, primitives[0].pose, mass, np.eye(3).tolist())
     for primitive in primitives:
         primitive.add_to(link)

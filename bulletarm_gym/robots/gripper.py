@@ -14,7 +14,7 @@ import numpy as np
 
 from bulletarm_gym.geometry import Pose, Vector, euler_pose
 from bulletarm_gym.robots.editing import DARK, LIGHT, RGB, Primitive, add_link, box, joints_below
-from bulletarm_gym.simulation.urdf import add_joint, find_link
+from bulletarm_gym.simulation.urdf import add_joint, find
 
 FINGER_MASS = 0.05
 """Mass (kg) of a finger of a :class:`ParallelJaw`."""
@@ -64,18 +64,12 @@ class Gripper:
     shoulder: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        """Check the values and convert them to floats."""
         for name in ("stroke", "force", "speed", "friction"):
             set_numbers(self, name, ())
         for name, count in (("finger", 3), ("palm", 3), ("shoulder", 2)):
             set_numbers(self, name, (count,), "non-negative")
         if len(self.joints) != 2:
             raise ValueError(f"joints must be the names of two joints, got {self.joints!r}")
-
-    @property
-    def travel(self) -> float:
-        """Maximum displacement (m) of a finger."""
-        return self.stroke / 2.0
 
     @property
     def overhang(self) -> float:
@@ -121,7 +115,7 @@ class ParallelJaw(Gripper):
         :raises ValueError: the model has no such link, or the link carries a gripper
         """
         root = arm()
-        carrier = find_link(root, link)
+        carrier = find(root, "link", link)
         for joint in joints_below(root, link):
             if joint.get("type") != "fixed":
                 raise ValueError(
@@ -136,6 +130,6 @@ class ParallelJaw(Gripper):
             finger, mount = joint_name.removesuffix("_joint"), Pose.planar(0.0, 0.0, self.palm[2], yaw)
             add_link(root, finger, FINGER_MASS, (pad, *self.trim))
             ends, pose, axis = (link, finger), flange.compose(mount), (1.0, 0.0, 0.0)
-            limits = (0.0, self.travel)
+            limits = (0.0, self.stroke / 2.0)
             add_joint(root, "prismatic", joint_name, ends, pose, axis, limits, self.force, self.speed)
         return root

@@ -15,7 +15,7 @@ import numpy as np
 
 from bulletarm_gym.geometry import FloatArray, Pose, matrix, quaternion
 from bulletarm_gym.geometry.compilation import compiled
-from bulletarm_gym.simulation.urdf import axis_of, find_joint, frame_of, limits_of
+from bulletarm_gym.simulation.urdf import axis_of, find, frame_of, limits_of
 
 MAX_ITERATIONS = 80
 TOLERANCE = 1e-9
@@ -59,12 +59,8 @@ class Chain:
 
     @classmethod
     def from_urdf(cls, root: Element, joints: Sequence[str], base: Pose, tool: Pose) -> "Chain":
-        """Return the chain of named joints of a URDF.
-
-        :param tool: tool frame in the last link
-        :raises ValueError: the model has no joint of a name
-        """
-        elements = [find_joint(root, name) for name in joints]
+        """Return the chain of named joints of a URDF and a tool frame in the last link."""
+        elements = [find(root, "joint", name) for name in joints]
         first, *others = map(frame_of, elements)
         frames = [base.compose(first), *others, tool]
         axes = np.array([axis_of(element) for element in elements])
@@ -77,16 +73,12 @@ class Chain:
 
     def forward(self, joints: FloatArray) -> Pose:
         """Return the tool's pose in the world at joint positions (n,) rad."""
-        rotation, position, _ = self._tool(joints)
+        rotation, position, _ = self.derivatives(joints)
         x, y, z = position.tolist()
         return Pose((x, y, z), quaternion(rotation))
 
-    def jacobian(self, joints: FloatArray) -> FloatArray:
-        """Return the derivative (6, n) of the tool's position (m) and rotation (rad, world) by the joints."""
-        return self._tool(joints)[2]
-
-    def _tool(self, joints: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the tool's rotation (3, 3) and position (3,), and the Jacobian (6, n)."""
+    def derivatives(self, joints: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the tool's rotation (3, 3) and position (3,) m in the world, and their Jacobian (6, n)."""
         rotation, position, jacobian = np.empty((3, 3)), np.empty(3), np.empty((6, len(joints)))
         spare = np.empty((len(joints) + 3, 3, 3))
         _jacobian(self.frames, np.asarray(joints, np.float64), rotation, position, jacobian, spare)
@@ -129,17 +121,6 @@ def product(a: FloatArray, b: FloatArray, out: FloatArray) -> None:
 
 
 @compiled
-def _axis_rotation(axis: FloatArray, angle: float, out: FloatArray) -> None:
-    """Write the rotation by an angle (rad) about a unit axis."""
-    c, s = math.cos(angle), math.sin(angle)
-    x, y, z = axis
-    t = 1.0 - c
-    out[0, 0], out[0, 1], out[0, 2] = t * x * x + c, t * x * y - s * z, t * x * z + s * y
-    out[1, 0], out[1, 1], out[1, 2] = t * x * y + s * z, t * y * y + c, t * y * z - s * x
-    out[2, 0], out[2, 1], out[2, 2] = t * x * z - s * y, t * y * z + s * x, t * z * z + c
-
-
-@compiled
 def advance(
     rotation: FloatArray, position: FloatArray, frames: Frames, joint: int, angle: float, spare: FloatArray
 ) -> None:
@@ -151,8 +132,12 @@ def advance(
     apply(rotation, translations[joint], spare[0, 0])
     position += spare[0, 0]
     product(rotation, rotations[joint], spare[0])
-    _axis_rotation(axes[joint], angle, spare[1])
-    product(spare[0], spare[1], rotation)
+    turned, (x, y, z), c, s = spare[1], axes[joint], math.cos(angle), math.sin(angle)
+    t = 1.0 - c
+    turned[0, 0], turned[0, 1], turned[0, 2] = t * x * x + c, t * x * y - s * z, t * x * z + s * y
+    turned[1, 0], turned[1, 1], turned[1, 2] = t * x * y + s * z, t * y * y + c, t * y * z - s * x
+    turned[2, 0], turned[2, 1], turned[2, 2] = t * x * z - s * y, t * y * z + s * x, t * z * z + c
+    product(spare[0], turned, rotation)
 
 
 @compiled

@@ -17,13 +17,11 @@ from bulletarm_gym.robots.kinematics import Chain, Frames, advance, apply, dot, 
 from bulletarm_gym.robots.structure import prepare
 from bulletarm_gym.simulation import Body
 from bulletarm_gym.simulation.motion import RISE
-from bulletarm_gym.simulation.urdf import find_joint, find_root, to_text
+from bulletarm_gym.simulation.urdf import find, find_root, to_text
 from bulletarm_gym.simulation.world import GRAVITY, TIME_STEP
 
 PLINTH_RADIUS = 0.09
 """Radius (m) of the stand under an arm whose base is above the ground, outside the workspaces."""
-LINE_POINTS = 1000
-"""Number of points of the line behind the base in the test of a workspace."""
 VERTICAL = 0.9
 """Minimum cosine between the vertical and the axis of a joint that rotates the gripper about the vertical."""
 
@@ -39,7 +37,7 @@ class RobotModel:
     :param tool: tool frame between the fingertips in the link of the last joint; z points back to the arm, x
         is the opening direction
     :param gripper: the gripper in the URDF
-    :param base: pose of the arm's base in the world; ``tools/reach.py`` compares the reach of bases
+    :param base: pose of the arm's base in the world
     :param posture: joint positions (rad) from which inverse kinematics starts: gripper down, elbow up, in
         front of the base
     :param force: maximum torque (N m) of each joint, or one value for all joints
@@ -56,7 +54,6 @@ class RobotModel:
     force: float | tuple[float, ...]
 
     def __post_init__(self) -> None:
-        """Check the values and convert sequences to tuples."""
         object.__setattr__(self, "joints", tuple(self.joints))
         set_numbers(self, "posture", (len(self.joints),), "finite")
         set_numbers(self, "force", (len(self.joints),) if np.ndim(self.force) else ())
@@ -143,14 +140,14 @@ class RobotModel:
             return False
         base, (low, high) = np.array(self.base.position[:2]), np.array(workspace[:2]).T
         reach = 0.0 if upper - lower >= math.tau else np.abs([base - low, base - high]).sum()
-        lengths = np.linspace(0.0, reach, LINE_POINTS)[:, None]
+        lengths = np.linspace(0.0, reach, 1000)[:, None]
         line = base - lengths * [math.cos(self.base.yaw), math.sin(self.base.yaw)]
         return bool(((low < line) & (line < high)).all(axis=1).any())
 
     @cached_property
     def _directions(self) -> tuple[float, float]:
         """Direction of rotation about the vertical by the first and the last joint: 1, -1 or 0."""
-        vertical = self.chain.jacobian(np.array(self.posture))[5]
+        vertical = self.chain.derivatives(np.array(self.posture))[2][5]
         first, last = np.where(np.abs(vertical) > VERTICAL, np.sign(vertical), 0.0)[[0, -1]].tolist()
         return first, last
 
@@ -163,7 +160,7 @@ class RobotModel:
         """
         root = copy.deepcopy(self.urdf)
         for name in self.joints:
-            find_joint(root, name).set("type", "continuous")
+            find(root, "joint", name).set("type", "continuous")
         return to_text(root)
 
 
@@ -201,12 +198,9 @@ class Dynamics:
     def torques(
         self, positions: FloatArray, rates: FloatArray, accelerations: FloatArray, load: float = 0.0
     ) -> FloatArray:
-        """Return the joint torques (n,) N m of a motion under gravity.
+        """Return the joint torques (n,) N m of a motion under gravity with a load (kg) in the gripper.
 
-        :param positions: joint positions (n,) rad
-        :param rates: joint velocities (n,) rad/s
-        :param accelerations: joint accelerations (n,) rad/s^2
-        :param load: mass (kg) of the grasped object
+        Positions, rates and accelerations are (n,) in rad, rad/s and rad/s^2.
         """
         motion = [np.append(values, 0.0) for values in (positions, rates, accelerations)]
         torques: FloatArray = _torques(self._model(load), *motion)[:-1]

@@ -7,7 +7,7 @@ from bulletarm_gym.geometry import Pose, euler_pose
 from bulletarm_gym.robots.editing import LIGHT, box
 from bulletarm_gym.robots.gripper import Gripper
 from bulletarm_gym.robots.model import RobotModel
-from bulletarm_gym.simulation.urdf import find_joint, find_link, load_model
+from bulletarm_gym.simulation.urdf import find, load_model
 
 FINGERTIPS = 0.107 + 0.0584 + 0.0538
 """Distance (m) from the last link's origin to the fingertips: flange, finger mount, and finger mesh."""
@@ -18,8 +18,6 @@ PAD = box((0.0175, 0.0143, 0.0358), (0.0, 0.00715, 0.0359), LIGHT)
 """Box around the pad in the mesh of the left finger. Its y axis points outwards, its z axis to the tip."""
 ROOT = box((0.0208, 0.0236, 0.019), (0.0, 0.0145, 0.0095), LIGHT)
 """Box around the rest of this mesh."""
-PALM = (0.204, 0.063, 0.092)
-"""Side lengths (m) of the hull of the palm's mesh, which ends 46.2 mm above the fingertips."""
 JOINTS = tuple(f"panda_joint{number}" for number in range(1, 8))
 LIMITS = (
     (-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973),
@@ -31,9 +29,9 @@ LIMITS = (
 def _load() -> Element:
     root = load_model("franka_panda/panda.urdf")
     for name, lower, upper in zip(JOINTS, *LIMITS, strict=True):
-        find_joint(root, name).findall("limit")[0].attrib.update(lower=repr(lower), upper=repr(upper))
+        find(root, "joint", name).findall("limit")[0].attrib.update(lower=repr(lower), upper=repr(upper))
     for name, yaw in zip(FINGERS, (0.0, math.pi), strict=True):
-        finger = find_link(root, name)
+        finger = find(root, "link", name)
         # Boxes have four contact points a face, and no soft contacts, as the grippers of the other arms.
         for element in [*finger.findall("collision"), *finger.findall("contact")]:
             finger.remove(element)
@@ -52,7 +50,7 @@ PANDA = RobotModel(
         joints=("panda_finger_joint1", "panda_finger_joint2"),
         stroke=0.08,
         finger=(0.014, 0.0175, 0.0462),
-        palm=PALM,
+        palm=(0.204, 0.063, 0.092),  # the hull of its mesh, which ends 46.2 mm above the fingertips
         shoulder=(0.0263, 0.0538 - 0.019),
     ),
     base=Pose((-0.06, 0.0, 0.0)),

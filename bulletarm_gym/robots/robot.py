@@ -1,36 +1,25 @@
 """Motions, grasps and state of a robot."""
 
+import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from bulletarm_gym.geometry import Pose, Vector, interpolate
-from bulletarm_gym.robots.arm import (
-    CLEAR_ABOVE,
-    FREE_CLEARANCE,
-    MAX_SHIFTS,
-    CollidingArm,
-    motion_steps,
-    path_length,
-    transfer_stops,
-)
+from bulletarm_gym.robots.arm import CLEAR_ABOVE, FREE_CLEARANCE, MAX_SHIFTS, CollidingArm, path_length
 from bulletarm_gym.robots.kinematics import POSITION_TOLERANCE
 from bulletarm_gym.robots.model import RobotModel
-from bulletarm_gym.simulation import World
-from bulletarm_gym.simulation.motion import (
-    CONTACT_RISE,
-    RISE,
-    JointGroup,
-    drive_fingers,
-    follow,
-    hold,
-    interpolate_path,
-    send_fingers,
-)
+from bulletarm_gym.simulation import World, motion
 from bulletarm_gym.simulation.state import STILL
 
+REFERENCE_DISTANCE = 0.05
+"""Length (m) of a closed-loop step (paper, Close-Loop 4D Benchmark)."""
+MIN_STEPS = 6
+"""Minimum number of simulation steps of a motion."""
+TRANSFER_HEIGHT = 0.4
+"""Height (m) of simulated motions across a workspace."""
 FREE_STEPS = 16
 """Number of simulation steps of a motion over the reference distance in free space."""
 CONTACT_STEPS = 48
@@ -51,6 +40,15 @@ SLIDE_GAP = 1e-3
 """Distance (m) by which a sliding arm moves away from what blocked it, so that it presses less."""
 MAX_PUSHED_RATIO = 0.2
 """Fraction of the stroke by which fingers pushed closed by a contact stay closed until the next command."""
+
+
+def transfer_stops(start: Pose, end: Pose) -> Iterator[Pose]:
+    """Yield the poses of a path up, across and down, in steps of at most :data:`REFERENCE_DISTANCE`."""
+    level = max(start.z, end.z, TRANSFER_HEIGHT)
+    over = [Pose.planar(pose.x, pose.y, level, pose.yaw) for pose in (start, end)]
+    for before, after in itertools.pairwise([start, *over, end]):
+        count = max(1, math.ceil(path_length(before, after) / REFERENCE_DISTANCE))
+        yield from (interpolate(before, after, number / count) for number in range(1, count + 1))
 
 
 @dataclass(frozen=True)
@@ -85,15 +83,13 @@ class Robot(CollidingArm):
         self.held = None if state.held is None else self.world.bodies[state.held]
         self._command = state.opening
 
-    # Motions
-
     def home(self, pose: Pose) -> None:
         """Set the empty, open gripper to a pose without a motion. The grasped object falls."""
         self._release()
         self.held = None
         self._command = self.model.gripper.stroke
         self._place(self._arm, self._solve(pose))
-        self._place(self._fingers, [self.model.gripper.travel] * 2)
+        self._place(self._fingers, [self.model.gripper.stroke / 2.0] * 2)
 
     def begin(self) -> None:
         """Start a motion: restore the snapshot of the world, without old contacts, and set the motors."""
@@ -101,8 +97,8 @@ class Robot(CollidingArm):
         self._send_targets()
 
     def _send_targets(self) -> None:
-        hold(self.world, self._arm, self.joint_positions)
-        send_fingers(self.world, self._fingers, self._command / 2.0, self.model.gripper.speed)
+        motion.hold(self.world, self._arm, self.joint_positions)
+        motion.send_fingers(self.world, self._fingers, self._command / 2.0, self.model.gripper.speed)
 
     def move_to(self, pose: Pose, in_contact: bool = True, slides: bool = False) -> None:
         """Move to a tool pose. A blocked arm stops.
@@ -161,7 +157,7 @@ class Robot(CollidingArm):
 
     def _follow(self, stops: Sequence[Sequence[float]], length: float, in_contact: bool) -> Vector | None:
         steps, rise = self.duration(stops, length, in_contact and self.held is None)
-        normal = follow(self.world, self._arm, stops, steps, self.held, rise)
+        normal = motion.follow(self.world, self._arm, stops, steps, self.held, rise)
         self._finish()
         return normal
 
@@ -170,15 +166,16 @@ class Robot(CollidingArm):
     ) -> tuple[int, float]:
         """Return the number of simulation steps of a motion, and the fraction with positive acceleration.
 
-        The motion takes at least as long as the joint torques allow.
+        Motions of all lengths have equal accelerations, unless the joint torques need more time.
 
         :param stops: joint positions (rad) along the motion
         :param length: length (m) of the tool's path
         """
-        pace, rise = (CONTACT_STEPS, CONTACT_RISE) if in_contact else (FREE_STEPS, RISE)
+        pace, rise = (CONTACT_STEPS, motion.CONTACT_RISE) if in_contact else (FREE_STEPS, motion.RISE)
         path = np.array([self.joint_positions, *stops])
         least = self.dynamics.least_steps(path, np.array(self._arm.forces), self._load, rise)
-        return max(round(motion_steps(length, pace) * self.world.physics.pace), least), rise
+        steps = max(MIN_STEPS, math.ceil(pace * math.sqrt(length / REFERENCE_DISTANCE)))
+        return max(round(steps * self.world.physics.pace), least), rise
 
     def _line(self, start: Pose, end: Pose) -> list[tuple[float, ...]]:
         """Return intermediate joint positions (rad) that keep the tool on the line between two poses.
@@ -215,14 +212,14 @@ class Robot(CollidingArm):
         if self.fast and self._can_jump(command):
             self._place(self._fingers, [command / 2.0] * 2)
             return
-        drive_fingers(self.world, self._fingers, command / 2.0, self.model.gripper.speed)
+        motion.drive_fingers(self.world, self._fingers, command / 2.0, self.model.gripper.speed)
         self._finish()
 
     def _release(self) -> None:
         """Record that the bodies that the robot holds or touches lose their support."""
         self.world.unsettled.update(body.index for body in self.touched(self.world.loose_bodies))
 
-    def _place(self, group: JointGroup, positions: Sequence[float]) -> None:
+    def _place(self, group: motion.JointGroup, positions: Sequence[float]) -> None:
         self.world.set_joints(self.body, group.moved(self.world, positions))
         self._send_targets()
 
@@ -247,7 +244,7 @@ class Robot(CollidingArm):
 
         If an object is too deep in both fingers, they open.
         """
-        travel = self.model.gripper.travel
+        travel = self.model.gripper.stroke / 2.0
         for _ in range(2):
             if self._shift_out() and self._push_out():
                 return
@@ -275,8 +272,6 @@ class Robot(CollidingArm):
             before = self.world.poses[self.held.index]
             self.world.carry(self.held, self.pose.compose(tool.inverse().compose(before)))
 
-    # Motions without simulation
-
     def _is_clear(self, start: Pose, end: Pose, stops: Sequence[Sequence[float]], length: float) -> bool:
         """Return True if nothing moves and the empty gripper touches nothing along a motion."""
         if not self._can_skip_simulation:
@@ -285,7 +280,9 @@ class Robot(CollidingArm):
         if lowest < FREE_CLEARANCE:
             return False
         count = math.ceil(length / SAMPLE_DISTANCE)
-        samples = interpolate_path([self.joint_positions, *stops], np.arange(1, count + 1) / count).tolist()
+        samples = motion.interpolate_path(
+            [self.joint_positions, *stops], np.arange(1, count + 1) / count
+        ).tolist()
         joints = (self._arm.moved(self.world, sample) for sample in samples)
         return self._is_free(joints, self._bodies_above(lowest - CLEAR_ABOVE))
 

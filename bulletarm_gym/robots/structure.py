@@ -8,23 +8,7 @@ import numpy as np
 
 from bulletarm_gym.geometry import Pose, rotate
 from bulletarm_gym.robots.gripper import Gripper
-from bulletarm_gym.simulation.urdf import (
-    add_inertial,
-    axis_of,
-    children_of,
-    end_of,
-    find_joint,
-    find_link,
-    find_root,
-    frame_of,
-    limits_of,
-    mass_of,
-    number_of,
-    pose_at,
-    put,
-    put_origin,
-    text_of,
-)
+from bulletarm_gym.simulation import urdf
 
 ROTATING, SLIDING = ("revolute", "continuous"), ("prismatic",)
 OPPOSITE = -0.99
@@ -56,7 +40,7 @@ def prepare(root: Element, joints: Sequence[str], gripper: Gripper, tool: Pose) 
         _require(not unknown, f"<geometry> must be one of {', '.join(sorted(SHAPES))}, got {got}")
     kinds = {**dict.fromkeys(joints, ROTATING), **dict.fromkeys(gripper.joints, SLIDING)}
     for name, allowed in kinds.items():
-        _check_joint(find_joint(root, name), allowed)
+        _check_joint(urdf.find(root, "joint", name), allowed)
     for joint in root.findall("joint"):
         _check_coupling(joint, joints, gripper.joints)
         if joint.get("name") in kinds:
@@ -65,7 +49,7 @@ def prepare(root: Element, joints: Sequence[str], gripper: Gripper, tool: Pose) 
             _fix(joint)
     merge_fixed(root)
     _check_chain(root, joints, gripper.joints)
-    _check_fingers([find_joint(root, name) for name in gripper.joints], gripper, tool)
+    _check_fingers([urdf.find(root, "joint", name) for name in gripper.joints], gripper, tool)
 
 
 def _require(is_valid: bool, message: str) -> None:
@@ -74,7 +58,7 @@ def _require(is_valid: bool, message: str) -> None:
 
 
 def _check_joint(joint: Element, kinds: Sequence[str]) -> None:
-    kind, name, (lower, upper) = joint.get("type"), joint.get("name"), limits_of(joint)
+    kind, name, (lower, upper) = joint.get("type"), joint.get("name"), urdf.limits_of(joint)
     parameter, hint = ("joints", "") if kinds == ROTATING else ("gripper.joints", " Use on_slides().")
     must = f"{parameter} must be {' or '.join(kinds)}"
     _require(kind in kinds, f"{must}, got the {kind} joint {name!r}.{hint}")
@@ -91,41 +75,41 @@ def _check_coupling(joint: Element, joints: Sequence[str], fingers: Sequence[str
     source = mimic.get("joint")
     got = f"{name!r}, which follows {source!r} by <mimic>"
     _require(not {name, source} & {*joints}, f"joints must move independently, got {got}")
-    is_equal = abs(number_of(mimic, "multiplier", "1")) == 1.0 and number_of(mimic, "offset") == 0.0
+    is_equal = abs(urdf.number_of(mimic, "multiplier", "1")) == 1.0 and urdf.number_of(mimic, "offset") == 0.0
     _require(is_equal or not {name, source} <= {*fingers}, f"gripper.joints must move equally, got {got}")
 
 
 def _fix(joint: Element) -> None:
     """Fix a joint at 0, or at its limit nearest to 0."""
     if joint.get("type") in (*ROTATING, *SLIDING):
-        lower, upper = limits_of(joint)
-        put_origin(joint, pose_at(joint, min(max(0.0, lower), upper)))
+        lower, upper = urdf.limits_of(joint)
+        urdf.put_origin(joint, urdf.pose_at(joint, min(max(0.0, lower), upper)))
     joint.set("type", "fixed")
 
 
 def _normalize_axis(joint: Element) -> None:
     """Set the length of the axis to 1, by which Bullet multiplies positions; let fingers open upwards."""
-    length, (lower, upper) = math.hypot(*axis_of(joint)), limits_of(joint)
+    length, (lower, upper) = math.hypot(*urdf.axis_of(joint)), urdf.limits_of(joint)
     _require(length > 0.0, f"the axis of joint {joint.get('name')!r} must have a length, got 0 0 0")
     if joint.get("type") in SLIDING and lower < -LIMIT_TOLERANCE and upper < LIMIT_TOLERANCE:
         joint.findall("limit")[0].attrib.update(lower=repr(-upper), upper=repr(-lower))
         length = -length
-    put(joint, "axis", xyz=text_of([part / length for part in axis_of(joint)]))
+    urdf.put(joint, "axis", xyz=urdf.text_of([part / length for part in urdf.axis_of(joint)]))
 
 
 def merge_fixed(root: Element) -> None:
     """Merge links on fixed joints into their parents. Bullet simulates them as slowly as moving links."""
     for joint in root.findall("joint[@type='fixed']"):
-        parent, child = (find_link(root, end_of(joint, end)) for end in ("parent", "child"))
-        mount = frame_of(joint)
+        parent, child = (urdf.find(root, "link", urdf.end_of(joint, end)) for end in ("parent", "child"))
+        mount = urdf.frame_of(joint)
         _add_mass(parent, child, mount)
         shapes = [*child.findall("visual"), *child.findall("collision")]
-        attached = children_of(root, child.get("name", ""))
+        attached = urdf.children_of(root, child.get("name", ""))
         for element in [*shapes, *attached]:
-            put_origin(element, mount.compose(frame_of(element)))
+            urdf.put_origin(element, mount.compose(urdf.frame_of(element)))
         parent.extend(shapes)
         for other in attached:
-            other.findall("parent")[0].set("link", end_of(joint, "parent"))
+            other.findall("parent")[0].set("link", urdf.end_of(joint, "parent"))
         root.remove(joint)
         root.remove(child)
 
@@ -136,28 +120,28 @@ def _add_mass(link: Element, other: Element, mount: Pose) -> None:
     A link without ``<inertial>`` has no mass here, and 1 kg in Bullet.
     """
     added = other.find("inertial")
-    if added is None or mass_of(other) == 0.0:
+    if added is None or urdf.mass_of(other) == 0.0:
         return
     if link.find("inertial") is None:
-        add_inertial(link, Pose((0.0, 0.0, 0.0)), 0.0, np.eye(3).tolist())
+        urdf.add_inertial(link, Pose((0.0, 0.0, 0.0)), 0.0, np.eye(3).tolist())
     own = link.findall("inertial")[0]
-    total = mass_of(link) + mass_of(other)
-    share = mass_of(other) / total
-    pairs = zip(frame_of(own).position, mount.transform(frame_of(added).position), strict=True)
+    total = urdf.mass_of(link) + urdf.mass_of(other)
+    share = urdf.mass_of(other) / total
+    pairs = zip(urdf.frame_of(own).position, mount.transform(urdf.frame_of(added).position), strict=True)
     x, y, z = ((1.0 - share) * first + share * second for first, second in pairs)
     own.findall("mass")[0].set("value", repr(total))
-    put_origin(own, Pose((x, y, z)))
+    urdf.put_origin(own, Pose((x, y, z)))
 
 
 def _check_chain(root: Element, joints: Sequence[str], fingers: Sequence[str]) -> None:
     """Check that the joints form a chain from the base to a link that carries the fingers."""
-    last = find_root(root).get("name", "")
+    last = urdf.find_root(root).get("name", "")
     for name in (*joints, *fingers):
-        joint = find_joint(root, name)
-        parent, link = end_of(joint, "parent"), find_link(root, end_of(joint, "child"))
+        joint = urdf.find(root, "joint", name)
+        parent, link = urdf.end_of(joint, "parent"), urdf.find(root, "link", urdf.end_of(joint, "child"))
         got = f"{name!r}, which is attached to the link {parent!r} instead of {last!r}"
         _require(parent == last, f"joints must be a chain from the base to the gripper, got {got}")
-        mass, of = mass_of(link), f"of link {link.get('name')!r}"
+        mass, of = urdf.mass_of(link), f"of link {link.get('name')!r}"
         _require(0.0 < mass < math.inf, f"the mass {of} must be a positive number, got {mass:g}")
         has_shape = name in joints or link.find("collision") is not None
         _require(has_shape, f"fingers must have a <collision> shape, got none {of}")
@@ -167,12 +151,12 @@ def _check_chain(root: Element, joints: Sequence[str], fingers: Sequence[str]) -
 def _check_fingers(fingers: Sequence[Element], gripper: Gripper, tool: Pose) -> None:
     """Check that fingers open from 0 over the stroke, in opposite directions along x of the tool frame."""
     for finger in fingers:
-        lower, upper = limits_of(finger)
-        is_wide = lower <= LIMIT_TOLERANCE and upper >= gripper.travel - LIMIT_TOLERANCE
+        lower, upper = urdf.limits_of(finger)
+        is_wide = lower <= LIMIT_TOLERANCE and upper >= gripper.stroke / 2.0 - LIMIT_TOLERANCE
         must = f"move from 0, where the fingers meet, by half the stroke of {gripper.stroke:g} m"
         got = f"{finger.get('name')!r} from {lower:g} to {upper:g} m. Use on_slides() or another stroke."
         _require(is_wide, f"gripper.joints must {must}, got {got}")
-    one, other = (rotate(frame_of(finger).orientation, axis_of(finger)) for finger in fingers)
+    one, other = (rotate(urdf.frame_of(finger).orientation, urdf.axis_of(finger)) for finger in fingers)
     is_opposite = float(np.dot(one, other)) < OPPOSITE
     _require(is_opposite, f"gripper.joints must open in opposite directions, got {gripper.joints}")
     cosine = abs(float(np.dot(rotate(tool.orientation, (1.0, 0.0, 0.0)), one)))

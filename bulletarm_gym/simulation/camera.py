@@ -61,10 +61,7 @@ class Camera:
 
     @property
     def extrinsics(self) -> FloatArray:
-        """Transformation (4, 4) from the world to the camera frame (m).
-
-        The camera frame has x to the right, y down in the image, and z along the optical axis, as in OpenCV.
-        """
+        """Transformation (4, 4) from the world to the camera frame (m): x right, y down, z forward."""
         forward = np.subtract(self.target, self.eye)
         forward /= np.linalg.norm(forward)
         right = np.cross(forward, self._up)
@@ -76,25 +73,21 @@ class Camera:
 
     def color(self, world: World) -> NDArray[np.uint8]:
         """Return the color image, (height, width, 3)."""
-        return self._color(self._render(world, self.shadow))
+        return self._render(world, self.shadow)[0]
 
     def color_and_depth(self, world: World) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
         """Return the color image without shadows and the distances (m) of one rendering."""
-        image = self._render(world)
-        return self._color(image), self._distances(image).astype(np.float32)
+        colors, distances, _ = self._render(world)
+        return colors, distances.astype(np.float32)
 
     def depth(self, world: World) -> NDArray[np.float32]:
         """Return distances (m) along the optical axis, (height, width)."""
-        return self._distances(self._render(world)).astype(np.float32)
+        return self.color_and_depth(world)[1]
 
     def points(self, world: World, without: Sequence[Body], measure: Measure | None = None) -> FloatArray:
-        """Return the visible points (n, 3) in the world (m), without the points on some bodies.
-
-        :param measure: errors of the camera, by default none
-        """
-        image = self._render(world)
-        distances = self._distances(image) if measure is None else measure(self._distances(image), self)
-        shown = np.asarray(image[4]).reshape(distances.shape)
+        """Return the visible points (n, 3; m, world) as measured, without the points on some bodies."""
+        _, distances, shown = self._render(world)
+        distances = distances if measure is None else measure(distances, self)
         visible = ~np.isin(shown, [body.id for body in without]) & (distances < self.far * 0.99)
         rows, columns = np.nonzero(visible)
         pixels = np.stack([columns, rows, np.ones(len(rows))])
@@ -115,48 +108,36 @@ class Camera:
         across = math.hypot(self.eye[0] - self.target[0], self.eye[1] - self.target[1])
         return (0.0, 0.0, 1.0) if across > VERTICAL * abs(self.eye[2] - self.target[2]) else (-1.0, 0.0, 0.0)
 
-    def _color(self, image: tuple[Any, ...]) -> NDArray[np.uint8]:
-        pixels = np.asarray(image[2], dtype=np.uint8)
-        return pixels.reshape(self.height, self.width, 4)[:, :, :3].copy()
-
-    def _distances(self, image: tuple[Any, ...]) -> FloatArray:
-        buffer = np.asarray(image[3], dtype=np.float64).reshape(self.height, self.width)
-        distances: FloatArray = self.far * self.near / (self.far - (self.far - self.near) * buffer)
-        return distances
-
-    def _projection(self, world: World) -> list[float]:
-        """Return the projection matrix of OpenGL, column by column.
-
-        TinyRenderer samples pixel (column, row) at (column, row + 1) of an image whose first pixel spans 0
-        to 1. The projection shifts the image by half a pixel, so that it samples the centre of each pixel.
-        """
-        aspect = self.width / self.height
-        matrix = list(world.client.computeProjectionMatrixFOV(self.fov, aspect, self.near, self.far))
-        matrix[8] += 1.0 / self.width
-        matrix[9] += 1.0 / self.height
-        return matrix
-
-    def _render(self, world: World, shadow: bool = False) -> tuple[Any, ...]:
+    def _render(
+        self, world: World, shadow: bool = False
+    ) -> tuple[NDArray[np.uint8], FloatArray, NDArray[np.int64]]:
+        """Return colors, distances (m) and the number in Bullet of the visible body of each pixel."""
         client, optics = world.client, world.optics
+        # TinyRenderer samples pixel (column, row) at (column, row + 1) of an image whose first pixel spans 0
+        # to 1. A shift by half a pixel makes it sample the centre of each pixel.
+        aspect = self.width / self.height
+        projection = list(client.computeProjectionMatrixFOV(self.fov, aspect, self.near, self.far))
+        projection[8] += 1.0 / self.width
+        projection[9] += 1.0 / self.height
         view, light = client.computeViewMatrix(self.eye, self.target, self._up), {}
         if optics != NOMINAL:
             view = (OPENGL_AXES @ optics.camera_error @ self.extrinsics).T.ravel().tolist()
             light = {"lightColor": (optics.brightness,) * 3}
-        image: tuple[Any, ...] = client.getCameraImage(
+        _, _, pixels, buffer, shown = client.getCameraImage(
             self.width,
             self.height,
             view,
-            self._projection(world),
+            projection,
             **light,
             lightDirection=[default + change for default, change in zip(LIGHT, optics.light, strict=True)],
             shadow=int(shadow),
             renderer=client.ER_TINY_RENDERER,
         )
-        return image
-
-
-Segment = tuple[Vector, Vector]
-"""Start and end (m) of a line."""
+        shape = self.height, self.width
+        colors = np.asarray(pixels, np.uint8).reshape(*shape, 4)[:, :, :3].copy()
+        nearness = np.asarray(buffer, np.float64).reshape(shape)
+        distances = self.far * self.near / (self.far - (self.far - self.near) * nearness)
+        return colors, distances, np.asarray(shown).reshape(shape)
 
 
 def look(world: World, eye: Vector, target: Vector) -> None:
@@ -172,10 +153,7 @@ def look(world: World, eye: Vector, target: Vector) -> None:
 class Keyboard:
     """Keys of a window. PyBullet's own shortcuts are switched off.
 
-    PyBullet reports what happened to a key since the last call. For a key that was pressed and released in
-    between, it reports the release only.
-
-    :param world: the world that the window shows
+    For a key that was pressed and released between two calls, PyBullet reports the release only.
     """
 
     def __init__(self, world: World) -> None:
@@ -193,12 +171,10 @@ class Keyboard:
         return [chr(key) for key in pressed if chr(key).isascii() and chr(key).isprintable()]
 
 
-def draw_segments(world: World, segments: Sequence[Segment], replaced: Sequence[int] = ()) -> list[int]:
-    """Draw orange lines (m, world), 3 pixels wide, in the window, in place of earlier lines.
-
-    :param replaced: return value of the last call
-    :return: numbers of the lines
-    """
+def draw_segments(
+    world: World, segments: Sequence[tuple[Vector, Vector]], replaced: Sequence[int] = ()
+) -> list[int]:
+    """Draw orange lines between points (m, world) in place of earlier ones, and return their numbers."""
     options = [{"replaceItemUniqueId": item} for item in replaced] or [{}] * len(segments)
     return [
         world.client.addUserDebugLine(start, end, (1.0, 0.35, 0.2), 3.0, **option)

@@ -1,7 +1,7 @@
 """Creation of bodies in Bullet from their specifications."""
 
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from functools import cache
 from pathlib import Path
@@ -10,40 +10,18 @@ from xml.etree.ElementTree import Element, SubElement, fromstring
 
 import numpy as np
 
-from bulletarm_gym.geometry import Mesh, Pose, matrix
+from bulletarm_gym.geometry import Pose, matrix
+from bulletarm_gym.simulation import urdf
 from bulletarm_gym.simulation.client import Client, pybullet
-from bulletarm_gym.simulation.shapes import (
-    ORIGIN,
-    BodySpec,
-    Box,
-    Convex,
-    Hinge,
-    Piece,
-    flat_normals,
-    is_ascii_stl,
-    stl_corners,
-    wavefront,
-)
+from bulletarm_gym.simulation.shapes import ORIGIN, BodySpec, Box, Hinge, Piece, ascii_stl_as_obj, wavefront
 from bulletarm_gym.simulation.state import Link, Properties
-from bulletarm_gym.simulation.urdf import (
-    add_geometry,
-    add_inertial,
-    add_joint,
-    add_material,
-    text_of,
-    to_text,
-)
 
 BASE = "base"
 """Name of the link that carries the moving parts of a body."""
 
 
 def load_rigid(client: Client, spec: BodySpec, damping: float) -> int:
-    """Load a body without moving parts, with the inertia of its shape.
-
-    :param damping: linear and angular damping
-    :return: number of the body in Bullet
-    """
+    """Load a body without moving parts, with the inertia of its shape, and return its number in Bullet."""
     frame, _ = spec.mass_properties
     body_id = client.createMultiBody(
         spec.mass,
@@ -57,11 +35,7 @@ def load_rigid(client: Client, spec: BodySpec, damping: float) -> int:
 
 
 def load_jointed(client: Client, spec: BodySpec, damping: float) -> int:
-    """Load a body with moving parts. Bullet reads joints with limits from URDF only.
-
-    :param damping: linear and angular damping
-    :return: number of the body in Bullet; its joints have the order of ``spec.parts``
-    """
+    """Load a body with moving parts, and return its number in Bullet, which reads joint limits from URDF."""
     is_free = spec.mass > 0.0
     # A part that slides in a fixed body does not rotate: its inertia has no effect.
     flags = client.URDF_USE_INERTIA_FROM_FILE if is_free or spec.hinges else 0
@@ -87,7 +61,6 @@ def set_resistance(client: Client, body_id: int, spec: BodySpec, factor: float =
 def load_urdf(client: Client, name: str, xml: str, pose: Pose) -> tuple[int, tuple[Link, ...]]:
     """Load a body fixed to the world from a URDF, and switch off the default motors of its joints.
 
-    :param name: name of the model in messages
     :return: number of the body in Bullet; its links without the base
     :raises ValueError: Bullet cannot load the model
     """
@@ -138,9 +111,6 @@ def _set_base_dynamics(client: Client, body_id: int, spec: BodySpec, damping: fl
     set_dynamics(client, body_id, spec, Properties.of(spec))
 
 
-# Files
-
-
 @contextmanager
 def _temporary_file(text: str, suffix: str) -> Iterator[str]:
     """Write a text to a file that Bullet reads. A folder would take milliseconds to remove."""
@@ -152,19 +122,14 @@ def _temporary_file(text: str, suffix: str) -> Iterator[str]:
 
 def _convert_meshes(xml: str, files: ExitStack) -> str:
     """Return a URDF in which temporary OBJ files replace ASCII STL files, which Bullet does not read."""
-    if ".stl" not in xml.lower():
-        return xml
     root = fromstring(xml)
     converted: dict[str, str] = {}
     for mesh in root.iter("mesh"):
         name = mesh.get("filename", "")
-        if name not in converted and is_ascii_stl(Path(name)):
-            corners = stl_corners(Path(name))
-            faces = np.arange(len(corners)).reshape(-1, 3)
-            text = wavefront([Piece(Convex(Mesh.of(corners, faces)))])
+        if name not in converted and (text := ascii_stl_as_obj(Path(name))):
             converted[name] = files.enter_context(_temporary_file(text, ".obj"))
         mesh.set("filename", converted.get(name, name))
-    return to_text(root) if converted else xml
+    return urdf.to_text(root) if converted else xml
 
 
 def _write_urdf(spec: BodySpec, folder: Path) -> str:
@@ -177,8 +142,8 @@ def _write_urdf(spec: BodySpec, folder: Path) -> str:
         pieces = tuple(Piece(piece.shape, origin.inverse().compose(piece.pose)) for piece in part.pieces)
         _add_link(root, BodySpec(part.name, pieces, part.mass, colour=part.colour), folder, is_free)
         kind = "revolute" if isinstance(part, Hinge) else "prismatic"
-        add_joint(root, kind, part.name, (BASE, part.name), origin, part.axis, part.limits)
-    return to_text(root)
+        urdf.add_joint(root, kind, part.name, (BASE, part.name), origin, part.axis, part.limits)
+    return urdf.to_text(root)
 
 
 def _add_link(root: Element, spec: BodySpec, folder: Path, is_free: bool) -> None:
@@ -190,46 +155,29 @@ def _add_link(root: Element, spec: BodySpec, folder: Path, is_free: bool) -> Non
     frame, moments = spec.mass_properties
     rotation = matrix(ORIGIN if is_free else frame)
     tensor = rotation @ (rotation * moments).T
-    add_inertial(link, frame if is_free else Pose(frame.position), spec.mass, tensor.tolist())
+    urdf.add_inertial(link, frame if is_free else Pose(frame.position), spec.mass, tensor.tolist())
     for number, piece in enumerate(spec.pieces):
         path = folder / f"{spec.name}_{number}.obj"
         path.write_text(wavefront([piece]))
-        add_material(add_geometry(link, "visual", "mesh", ORIGIN, filename=str(path)), spec.colour)
+        urdf.add_material(urdf.add_geometry(link, "visual", "mesh", ORIGIN, filename=str(path)), spec.colour)
         if isinstance(piece.shape, Box):
-            add_geometry(link, "collision", "box", piece.pose, size=text_of(piece.shape.extents))
+            urdf.add_geometry(link, "collision", "box", piece.pose, size=urdf.text_of(piece.shape.extents))
         else:
-            add_geometry(link, "collision", "mesh", ORIGIN, filename=str(path))
-
-
-# Shapes
+            urdf.add_geometry(link, "collision", "mesh", ORIGIN, filename=str(path))
 
 
 def _collision_shape(client: Client, spec: BodySpec) -> int:
-    if all(isinstance(piece.shape, Box) for piece in spec.pieces):
-        return _box_shape(client, spec.pieces)
-    with _temporary_file(wavefront(spec.pieces), ".obj") as path:
-        return int(client.createCollisionShape(client.GEOM_MESH, fileName=path))
-
-
-def _box_shape(client: Client, pieces: Sequence[Piece]) -> int:
-    """Return a shape of boxes, which collide faster and more stably than the hulls of their corners."""
-    sizes = [[extent / 2.0 for extent in piece.shape.extents] for piece in pieces]  # type: ignore[union-attr]
-    positions = [piece.pose.position for piece in pieces]
-    orientations = [piece.pose.orientation for piece in pieces]
-    if len(pieces) == 1:
-        shape = client.createCollisionShape(
-            client.GEOM_BOX,
-            halfExtents=sizes[0],
-            collisionFramePosition=positions[0],
-            collisionFrameOrientation=orientations[0],
-        )
-    else:
-        shape = client.createCollisionShapeArray(
-            shapeTypes=[client.GEOM_BOX] * len(pieces),
-            halfExtents=sizes,
-            collisionFramePositions=positions,
-            collisionFrameOrientations=orientations,
-        )
+    boxes = [piece.shape for piece in spec.pieces if isinstance(piece.shape, Box)]
+    if len(boxes) < len(spec.pieces):
+        with _temporary_file(wavefront(spec.pieces), ".obj") as path:
+            return int(client.createCollisionShape(client.GEOM_MESH, fileName=path))
+    # Boxes collide faster and more stably than the hulls of their corners.
+    shape = client.createCollisionShapeArray(
+        shapeTypes=[client.GEOM_BOX] * len(boxes),
+        halfExtents=[[extent / 2.0 for extent in box.extents] for box in boxes],
+        collisionFramePositions=[piece.pose.position for piece in spec.pieces],
+        collisionFrameOrientations=[piece.pose.orientation for piece in spec.pieces],
+    )
     return int(shape)
 
 
@@ -240,10 +188,13 @@ def _visual_shape(client: Client, spec: BodySpec) -> int:
 
 @cache
 def _mesh_arguments(triangles: bytes) -> dict[str, list[Any]]:
-    """Return PyBullet's arguments for float64 triangles (m).
+    """Return PyBullet's arguments for float64 triangles (m), with normals that render edges sharp.
 
     The lists are cached because PyBullet never releases them: new lists for every body would leak memory.
     """
-    corners = np.frombuffer(triangles).reshape(-1, 3)
-    normals = flat_normals(corners.reshape(-1, 3, 3))
-    return {"vertices": corners.tolist(), "indices": list(range(len(corners))), "normals": normals}
+    corners = np.frombuffer(triangles).reshape(-1, 3, 3)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    vertices = corners.reshape(-1, 3).tolist()
+    indices = list(range(len(vertices)))
+    return {"vertices": vertices, "indices": indices, "normals": np.repeat(normals, 3, axis=0).tolist()}

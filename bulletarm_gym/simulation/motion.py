@@ -15,8 +15,8 @@ from bulletarm_gym.simulation.loading import set_resistance
 from bulletarm_gym.simulation.state import Body
 from bulletarm_gym.simulation.world import World
 
-OTHER, DISTANCE, FORCE = 2, 8, 9
-"""Indices in Bullet's contact points: the other body, the gap (m) and the normal force (N)."""
+OTHER, NORMAL, DISTANCE, FORCE = 2, 7, 8, 9
+"""Indices in Bullet's contact points: the other body, the normal, the gap (m) and the normal force (N)."""
 RISE = 0.5
 """Fraction of a motion with positive acceleration. One half needs the smallest torque."""
 CONTACT_RISE = 0.25
@@ -65,12 +65,6 @@ class JointGroup:
     def joints(self) -> list[int]:
         """Indices in Bullet."""
         return [self.body.joints[slot] for slot in self.slots]
-
-    @cached_property
-    def motors(self) -> dict[str, Sequence[float]]:
-        """PyBullet's arguments for the motors: maximum forces and gains."""
-        gains: Sequence[float] = [1.0] * len(self.slots)
-        return {"forces": self.forces, "positionGains": gains, "velocityGains": gains}
 
     def positions(self, world: World) -> tuple[float, ...]:
         """Return the joint positions in the state of the world."""
@@ -122,36 +116,35 @@ def velocity_profile(steps: int, rise: float = RISE) -> FloatArray:
 
 def interpolate_path(stops: Sequence[Sequence[float]], shares: FloatArray) -> FloatArray:
     """Return the joint positions (n, joints) at shares (n,) of a path through evenly spaced stops."""
-    return _interpolate(np.array(stops, dtype=np.float64), np.asarray(shares, dtype=np.float64))
+    return _interpolate(np.array(stops, dtype=np.float64), shares)
 
 
 @compiled
 def _interpolate(stops: FloatArray, shares: FloatArray) -> FloatArray:
     """Return ``np.interp`` of each joint, which takes 20 times as long for a few stops."""
     path = np.empty((len(shares), stops.shape[1]))
-    pieces = len(stops) - 1
+    ends = np.arange(len(stops)) * (1.0 / (len(stops) - 1))
+    ends[-1] = 1.0
     for row, share in enumerate(shares):
         piece = 0
-        while piece + 1 < pieces and share >= (piece + 1) * (1.0 / pieces):
+        while share >= ends[piece + 1] and piece + 2 < len(ends):
             piece += 1
-        start = piece * (1.0 / pieces)
-        end = 1.0 if piece + 1 == pieces else (piece + 1) * (1.0 / pieces)
-        for joint in range(stops.shape[1]):
-            first, last = stops[piece, joint], stops[piece + 1, joint]
-            path[row, joint] = (
-                last if share >= 1.0 else (last - first) / (end - start) * (share - start) + first
-            )
+        slope = (stops[piece + 1] - stops[piece]) / (ends[piece + 1] - ends[piece])
+        path[row] = slope * (share - ends[piece]) + stops[piece] if share < 1.0 else stops[-1]
     return path
 
 
 def hold(world: World, group: JointGroup, positions: Sequence[float]) -> None:
     """Set the position targets of motors."""
+    gains = [1.0] * len(group.slots)
     world.client.setJointMotorControlArray(
         group.body.id,
         group.joints,
         world.client.POSITION_CONTROL,
         targetPositions=positions,
-        **group.motors,
+        forces=group.forces,
+        positionGains=gains,
+        velocityGains=gains,
     )
 
 
@@ -175,9 +168,8 @@ def follow(
     for number in range(1, steps + 1):
         hold(world, group, path[number])
         world.step()
-        before, (force, depth) = depth, contact_load(world, group.body, held)
+        before, (force, depth, normal) = depth, contact_load(world, group.body, held)
         if depth > before and (force > MAX_FORCE or depth > MAX_DEPTH):
-            normal = deepest_normal(world, group.body, held)
             _retreat(world, group, path[:number], held)
             return normal
         if number % LAG_CHECK == 0:
@@ -188,8 +180,8 @@ def follow(
     return None
 
 
-def contact_load(world: World, body: Body, held: Body | None) -> tuple[float, float]:
-    """Return the total contact force (N) and the penetration depth (m) of a body.
+def contact_load(world: World, body: Body, held: Body | None) -> tuple[float, float, Vector | None]:
+    """Return the total contact force (N) of a body, its penetration depth (m), and the normal there.
 
     :param held: the grasped object, which counts only if it is deeper than :data:`MAX_SQUEEZE`
     """
@@ -198,15 +190,9 @@ def contact_load(world: World, body: Body, held: Body | None) -> tuple[float, fl
     if held is not None:
         points = [point for point in points if point[OTHER] != held.id or -point[DISTANCE] > MAX_SQUEEZE]
     if not points:
-        return 0.0, 0.0
-    return sum([point[FORCE] for point in points]), -min([point[DISTANCE] for point in points])
-
-
-def deepest_normal(world: World, body: Body, held: Body | None) -> Vector:
-    """Return the normal of the deepest of the contacts that :func:`contact_load` counts."""
-    contacts = world.contacts(body)
-    counted = (one for one in contacts if one.other is not held or -one.distance > MAX_SQUEEZE)
-    return min(counted, key=lambda contact: contact.distance).normal
+        return 0.0, 0.0, None
+    deepest = min(points, key=itemgetter(DISTANCE))
+    return sum([point[FORCE] for point in points]), -deepest[DISTANCE], deepest[NORMAL]
 
 
 def _retreat(world: World, group: JointGroup, path: Sequence[Sequence[float]], held: Body | None) -> None:
@@ -214,7 +200,7 @@ def _retreat(world: World, group: JointGroup, path: Sequence[Sequence[float]], h
     for _ in range(RETREAT_LIMIT):
         hold(world, group, path[back])
         world.step()
-        force, depth = contact_load(world, group.body, held)
+        force, depth, _ = contact_load(world, group.body, held)
         calm = calm + 1 if force < RETREAT_FORCE and depth < MAX_DEPTH / 2.0 else 0
         if calm == CALM_STEPS:
             break

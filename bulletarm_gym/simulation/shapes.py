@@ -4,7 +4,7 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from typing import TypeAlias
@@ -148,7 +148,6 @@ class BodySpec:
     is_mark: bool = False
 
     def __post_init__(self) -> None:
-        """Raise ValueError if a number is negative or not finite, or the colour is not four numbers."""
         for name in ("mass", "friction", "rolling_friction", "spinning_friction", "angular_damping"):
             if not 0.0 <= (value := getattr(self, name)) < math.inf:
                 raise ValueError(
@@ -221,14 +220,6 @@ def wavefront(pieces: Sequence[Piece]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def flat_normals(triangles: FloatArray) -> list[list[float]]:
-    """Return a normal for each corner of (n, 3, 3) triangles, so that edges are rendered sharp."""
-    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    corners: list[list[float]] = np.repeat(normals, 3, axis=0).tolist()
-    return corners
-
-
 STL_HEADER, STL_FACET = 84, 50
 """Number of bytes before the first facet of a binary STL file, and of each facet."""
 VERTEX = re.compile(rb"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", re.IGNORECASE)
@@ -236,21 +227,11 @@ VERTEX = re.compile(rb"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", re.IGNORECASE)
 
 
 def check_mesh(path: Path) -> None:
-    """Check that a mesh can be loaded. An ASCII STL file is converted for Bullet later.
-
-    :raises ValueError: the mesh cannot be loaded; the message contains the file and the reason
-    """
+    """Raise ValueError with the file and the reason if a mesh cannot be loaded."""
     try:
-        status = path.stat()
-        _check_version(path, status.st_mtime_ns, status.st_size)
+        (_check_collada if path.suffix.lower() == ".dae" else mesh_parts)(path)
     except (ValueError, OSError, ElementTree.ParseError) as error:
         raise ValueError(f"mesh must be a readable OBJ, STL or COLLADA file, got {path}: {error}") from error
-
-
-@lru_cache(maxsize=1024)
-def _check_version(path: Path, modified: int, size: int) -> None:
-    check = _check_collada if path.suffix.lower() == ".dae" else mesh_parts
-    check(path)
 
 
 def mesh_parts(path: Path) -> list[tuple[str, FloatArray]]:
@@ -271,9 +252,12 @@ def mesh_parts(path: Path) -> list[tuple[str, FloatArray]]:
     return parts
 
 
-def is_ascii_stl(path: Path) -> bool:
-    """Return True if a file is an STL file in ASCII, which Bullet does not read."""
-    return path.suffix.lower() == ".stl" and not _is_binary(path.read_bytes())
+def ascii_stl_as_obj(path: Path) -> str | None:
+    """Return an ASCII STL file, which Bullet does not read, as the text of an OBJ file, None for others."""
+    if path.suffix.lower() != ".stl" or _is_binary(path.read_bytes()):
+        return None
+    corners = stl_corners(path)
+    return wavefront([Piece(Convex(Mesh.of(corners, np.arange(len(corners)).reshape(-1, 3))))])
 
 
 def _is_binary(data: bytes) -> bool:

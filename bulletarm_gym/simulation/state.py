@@ -150,19 +150,13 @@ class Properties:
         return cls(spec.mass, *frictions, 0.0, spec.colour)
 
     def changed(self, **changes: Any) -> "Properties":
-        """Return the properties with some of them changed.
-
-        :raises TypeError: an unknown property
-        """
+        """Return the properties with some of them changed, or raise TypeError if one is unknown."""
         made = replace(self, **changes)
         numbers: dict[str, Any] = {name: float(getattr(made, name)) for name in NUMBERS}
         return Properties(**numbers, colour=tuple(map(float, made.colour)))  # type: ignore[arg-type]
 
     def check(self, spec: BodySpec) -> None:
-        """Check the properties for a body.
-
-        :raises ValueError: one of them is out of range
-        """
+        """Raise ValueError if a property is out of range for a body."""
         for name in NUMBERS:
             if not 0.0 <= (value := getattr(self, name)) < math.inf:
                 raise ValueError(f"{name} must be a finite number of at least 0, got {value!r}")

@@ -15,9 +15,6 @@ PACKAGE, FILE = "package://", "file://"
 """Prefixes of file names in ROS: of a file in a package, and of any file."""
 
 
-# Files
-
-
 def _parse_xml(path: Path) -> Element:
     """Return the root element of an XML file. Prefixes stay part of names and need no declaration."""
     builder = ElementTree.TreeBuilder()
@@ -34,11 +31,7 @@ def _parse_xml(path: Path) -> Element:
 
 
 def parse_urdf(path: Path) -> Element:
-    """Return the root element of a URDF without the extensions of other programs.
-
-    :raises ValueError: the file is not XML or has another format
-    :raises OSError: the file cannot be read
-    """
+    """Return the root element of a URDF without the extensions of other programs, or raise ValueError."""
     must = f"model must be a URDF file, got {path}, "
     try:
         root = _parse_xml(path)
@@ -50,19 +43,10 @@ def parse_urdf(path: Path) -> Element:
         raise ValueError(f"{must}whose root element is <{root.tag}>. Convert it to URDF.")
     if any("quat_xyzw" in element.attrib for element in root.iter("origin")):
         raise ValueError(f"origins must have rpy angles, got quat_xyzw of URDF 1.1 in {path}")
-    _remove_extensions(root)
+    for element in list(root.iter()):
+        element.attrib = {name: value for name, value in element.attrib.items() if ":" not in name}
+        element[:] = [child for child in element if ":" not in child.tag]
     return root
-
-
-def _remove_extensions(element: Element) -> None:
-    """Remove elements and attributes with a prefix, such as ``drake:``."""
-    for name in [name for name in element.attrib if ":" in name]:
-        del element.attrib[name]
-    for child in list(element):
-        if ":" in child.tag:
-            element.remove(child)
-        else:
-            _remove_extensions(child)
 
 
 def read_urdf(path: str | PathLike[str], check_meshes: bool = True) -> Element:
@@ -75,10 +59,10 @@ def read_urdf(path: str | PathLike[str], check_meshes: bool = True) -> Element:
     file = Path(path).absolute()
     root = parse_urdf(file)
     for mesh in root.iter("mesh"):
-        found = mesh_path(mesh.get("filename", ""), file.parent)
-        mesh.set("filename", str(found))
-        if check_meshes:
-            check_mesh(found)
+        mesh.set("filename", str(mesh_path(mesh.get("filename", ""), file.parent)))
+    if check_meshes:
+        for name in dict.fromkeys(mesh.get("filename", "") for mesh in root.iter("mesh")):
+            check_mesh(Path(name))
     return root
 
 
@@ -90,12 +74,9 @@ def load_model(relative: str) -> Element:
 
 
 def mesh_path(name: str, folder: Path) -> Path:
-    """Return the absolute path of a mesh.
+    """Return the absolute path of a mesh in the URDF of a folder, or raise ValueError if it does not exist.
 
-    :param name: file name in a URDF; as in PyBullet, the package of a ``package://`` path is a folder above
-        the URDF or next to such a folder
-    :param folder: absolute path of the folder of the URDF
-    :raises ValueError: the file does not exist
+    As in PyBullet, the package of a ``package://`` path is a folder above the URDF or next to such a folder.
     """
     for place in [folder, *folder.parents] if name.startswith(PACKAGE) else [folder]:
         found = place / name.removeprefix(PACKAGE).removeprefix(FILE)
@@ -110,20 +91,8 @@ def to_text(root: Element) -> str:
     return ElementTree.tostring(root, encoding="unicode")
 
 
-# Reading elements
-
-
-def find_link(root: Element, name: str) -> Element:
-    """Return a link by name, or raise ValueError."""
-    return _find(root, "link", name)
-
-
-def find_joint(root: Element, name: str) -> Element:
-    """Return a joint by name, or raise ValueError."""
-    return _find(root, "joint", name)
-
-
-def _find(root: Element, tag: str, name: str) -> Element:
+def find(root: Element, tag: str, name: str) -> Element:
+    """Return the ``"link"`` or ``"joint"`` of a name, or raise ValueError."""
     for element in root.findall(tag):  # an XPath cannot contain a name with quotes
         if element.get("name") == name:
             return element
@@ -213,9 +182,6 @@ def mass_of(link: Element) -> float:
     """Return the mass (kg) of a link, 0 without ``<inertial>``."""
     mass = link.find("inertial/mass")
     return 0.0 if mass is None else number_of(mass, "value")
-
-
-# Writing elements
 
 
 def text_of(values: Sequence[float]) -> str:

@@ -19,6 +19,7 @@ from bulletarm_gym.simulation.state import (
     STILL,
     Body,
     Contact,
+    Link,
     Physics,
     Properties,
     Twist,
@@ -30,8 +31,6 @@ TIME_STEP = 1.0 / 240.0
 """Duration of a simulation step (s)."""
 GRAVITY = -10.0
 """Acceleration (m/s^2) along z."""
-RESIDUAL_THRESHOLD = 1e-5
-"""Squared change of the impulses at which the solver stops before its last iteration."""
 SPHERE_GAP = 0.01
 """Gap (m) between bounding spheres above which bodies are apart. It exceeds Bullet's collision margins."""
 PARKING_HEIGHT = 10.0
@@ -43,11 +42,7 @@ MOVING, FIXED = 1, 2
 
 
 class World:
-    """Bodies under gravity.
-
-    :param physics: one of :data:`~bulletarm_gym.simulation.state.PHYSICS_MODES`
-    :param gui: show PyBullet's window
-    """
+    """Bodies under gravity, in PyBullet's window if ``gui``."""
 
     def __init__(self, physics: Physics, gui: bool = False) -> None:
         self.client = Client(gui)
@@ -71,35 +66,28 @@ class World:
         self.client.setPhysicsEngineParameter(
             fixedTimeStep=TIME_STEP,
             numSolverIterations=physics.solver_iterations,
-            solverResidualThreshold=RESIDUAL_THRESHOLD,
+            solverResidualThreshold=1e-5,  # the squared change of the impulses that ends the iterations
             deterministicOverlappingPairs=1,
         )
 
-    # Loading
-
     def add(self, spec: BodySpec, pose: Pose | None = None) -> Body:
-        """Load a body. Without a pose it is parked until :meth:`place`.
-
-        :raises RuntimeError: the world is sealed
-        """
+        """Load a body. Without a pose it is parked until :meth:`place`."""
         self._check_unsealed()
         load = load_jointed if spec.parts else load_rigid
         body_id = load(self.client, spec, self.physics.damping)
-        return self._register(Body(len(self.bodies), body_id, spec, tuple(range(len(spec.parts)))), pose)
+        return self._register(body_id, spec, pose, len(spec.parts))
 
     def add_plane(self, spec: BodySpec) -> Body:
         """Load the infinite ground at z = 0 with the name, friction and visual shape of a specification."""
         self._check_unsealed()
-        body_id = load_plane(self.client, spec)
-        self._ground = self._register(Body(len(self.bodies), body_id, spec), ORIGIN)
+        self._ground = self._register(load_plane(self.client, spec), spec, ORIGIN)
         return self._ground
 
     def add_urdf(self, spec: BodySpec, xml: str, pose: Pose) -> Body:
         """Load a body with joints, fixed to the world, from a URDF without fixed joints."""
         self._check_unsealed()
         body_id, links = load_urdf(self.client, spec.name, xml, pose)
-        joints = tuple(range(len(links)))
-        return self._register(Body(len(self.bodies), body_id, spec, joints, links), pose)
+        return self._register(body_id, spec, pose, len(links), links)
 
     def seal(self) -> None:
         """Take the snapshot for :meth:`begin`. No body can be loaded afterwards."""
@@ -110,9 +98,12 @@ class World:
         if self._snapshot is not None:
             raise RuntimeError("the world is sealed: bodies are loaded once, before the first reset")
 
-    def _register(self, body: Body, pose: Pose | None) -> Body:
+    def _register(
+        self, body_id: int, spec: BodySpec, pose: Pose | None, joints: int = 0, links: tuple[Link, ...] = ()
+    ) -> Body:
+        body = Body(len(self.bodies), body_id, spec, tuple(range(joints)), links)
         self.bodies.append(body)
-        self._by_id[body.id] = body
+        self._by_id[body_id] = body
         self.poses.append(pose or Pose((float(body.index), 0.0, PARKING_HEIGHT)))
         self.twists.append(STILL)
         self.active.append(pose is not None)
@@ -121,8 +112,6 @@ class World:
         if pose is None:
             self.park(body)
         return body
-
-    # Groups of bodies
 
     @property
     def ground(self) -> Body:
@@ -149,8 +138,6 @@ class World:
     def obstacles(self) -> list[Body]:
         """The active solids."""
         return [body for body in self.solids if self.active[body.index]]
-
-    # Layout
 
     def place(self, body: Body, pose: Pose, twist: Twist = STILL) -> None:
         """Set the pose of a body and activate it. It falls if nothing supports it."""
@@ -201,10 +188,7 @@ class World:
         return self._changed.get(body.index) or Properties.of(body.spec)
 
     def set_properties(self, body: Body, properties: Properties) -> None:
-        """Set the properties of a body until the next reset.
-
-        :raises ValueError: one of them is out of range
-        """
+        """Set the properties of a body until the next reset, or raise ValueError."""
         properties.check(body.spec)
         if properties == self.get_properties(body):
             return
@@ -254,8 +238,6 @@ class World:
         positions = [(position,) for position in self.joints[body.index]]
         rates = [(rate,) for rate in self.joint_rates[body.index]]
         self.client.resetJointStatesMultiDof(body.id, body.joints, positions, rates)
-
-    # State
 
     def begin(self) -> None:
         """Restore the snapshot with the current state. Every motion starts with this call."""
@@ -312,8 +294,6 @@ class World:
         for body in self.bodies:
             self._send(body)
 
-    # Simulation
-
     def step(self, count: int = 1) -> None:
         """Advance the simulation by a number of steps of :data:`TIME_STEP`."""
         for _ in range(count):
@@ -324,8 +304,6 @@ class World:
         before = self.client.stepSimulation
         vars(self.client)["stepSimulation"] = wrap(before)
         return lambda: vars(self.client).update(stepSimulation=before)
-
-    # Queries
 
     @property
     def has_motion(self) -> bool:
@@ -345,11 +323,7 @@ class World:
         return [pose, *(pose.compose(part.moved(position)) for part, position in parts)]
 
     def contacts(self, body: Body, other: Body | None = None, link: int = -2) -> list[Contact]:
-        """Return the contacts of a body in the last simulation step.
-
-        :param other: only contacts with this body
-        :param link: only contacts of this link, an index in Bullet
-        """
+        """Return the contacts of a body, or of one of its links, in the last simulation step."""
         other_id = -1 if other is None else other.id
         return self._contacts(self.client.getContactPoints(body.id, other_id, link))
 

@@ -15,6 +15,7 @@ sys.path.insert(1, str(HERE.parents[1] / "examples"))  # for small_arm
 import rollouts  # noqa: E402
 
 import bulletarm_gym  # noqa: E402
+from bulletarm_gym.demonstrations import collect  # noqa: E402
 
 
 @pytest.fixture(scope="session", params=bulletarm_gym.ENV_IDS, ids=lambda env_id: env_id.split("/")[1])
@@ -52,6 +53,12 @@ def make():
         env.close()
 
 
+@pytest.fixture(scope="session")
+def picked():
+    """Two recorded episodes of the picking task with images."""
+    return collect(rollouts.PICKING, 2, seed=3, env_kwargs={"obs_size": 32})
+
+
 @pytest.fixture
 def typical_env(make, typical_id):
     """The shared instance of an id of each kind."""
@@ -61,4 +68,4 @@ def typical_env(make, typical_id):
 @pytest.fixture
 def picking(make):
     """The shared instance of the picking task."""
-    return make("BulletArm/CloseLoopBlockPicking-v0")
+    return make(rollouts.PICKING)

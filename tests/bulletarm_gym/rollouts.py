@@ -3,6 +3,7 @@
 import dataclasses
 import hashlib
 import itertools
+from contextlib import closing
 
 import gymnasium
 import numpy as np
@@ -47,6 +48,11 @@ def is_open_loop(env_id):
 def is_sloping(env_id):
     """Return True if objects lie on ramps or bumps."""
     return "LoopRamp" in env_id or "LoopBump" in env_id
+
+
+def core_of(demonstrations):
+    """Return the environment of demonstrations without wrappers, as a context."""
+    return closing(demonstrations.make_env().unwrapped)
 
 
 def idle(env):

@@ -6,14 +6,13 @@ import itertools
 import json
 import pickle
 import sys
-from contextlib import closing
 from functools import partial
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
-from rollouts import PICKING, idle
+from rollouts import PICKING, core_of, idle
 
 from bulletarm_gym.demonstrations import Demonstrations, ReplayError, collect, load, replay
 from bulletarm_gym.demonstrations.episodes import HEIGHTS, atomic_path
@@ -32,12 +31,6 @@ KINDS = {
 }
 
 
-@pytest.fixture(scope="module")
-def picked():
-    """Two episodes with images."""
-    return collect(PICKING, 2, seed=3, env_kwargs=SMALL)
-
-
 @pytest.fixture(scope="module", params=KINDS)
 def basket(request):
     """Two episodes of each kind."""
@@ -48,10 +41,6 @@ def basket(request):
 def content(episode):
     arrays = [*episode.observations.values(), episode.actions, episode.rewards, episode.terminations]
     return [episode.seed, episode.initial_state, *(array.tobytes() for array in arrays)]
-
-
-def core_of(demonstrations):
-    return closing(demonstrations.make_env().unwrapped)
 
 
 def test_episodes_are_what_the_environment_does(basket):

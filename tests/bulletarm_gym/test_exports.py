@@ -10,23 +10,13 @@ import gymnasium
 import h5py
 import numpy as np
 import pytest
-from rollouts import PICKING
+from rollouts import PICKING, core_of
 
 from bulletarm_gym.demonstrations import collect, export_lerobot, export_minari, export_rlds, exports, rlds
 from bulletarm_gym.demonstrations.robomimic import export_robomimic
 
 DRAWER = "BulletArm/CloseLoopDrawerOpening-v0"
 RAMP = "BulletArm/OpenLoopRampBlockStacking-v0"
-
-
-@pytest.fixture(scope="module")
-def picked():
-    """Two episodes with images."""
-    return collect(PICKING, 2, seed=3, env_kwargs={"obs_size": 32})
-
-
-def core_of(demonstrations):
-    return closing(demonstrations.make_env().unwrapped)
 
 
 def test_exports_name_missing_libraries(picked, monkeypatch):

@@ -185,7 +185,7 @@ def test_default_cameras_show_the_workspace(workspace, robot):
         assert (pixels > 0).all() and (pixels < 99).all()
 
 
-def test_render_size_and_render_camera():
+def test_render_size_and_render_camera(make):
     top = {"position": [0.75, 0.0, 1.2], "target": [0.45, 0.0, 0.0], "fov": 30}
     kwargs = {"render_mode": "rgb_array", "render_size": [96, 64], "render_camera": top}
     env = RenderCollection(gymnasium.make(PICKING, **kwargs))
@@ -195,9 +195,6 @@ def test_render_size_and_render_camera():
     assert [frame.shape for frame in frames] == [(64, 96, 3)] * 2 and red_pixels(frames[0])
     camera = env.unwrapped.cameras["render"].camera
     assert camera.eye == (0.75, 0.0, 1.2) and camera.fov == 30.0
-
-
-def test_depth_array_is_the_depth_of_the_render_camera(make):
     plain = make(PICKING)
     narrow = make(PICKING, render_camera={"fov": 20}, render_size=32, render_mode="depth_array")
     first, second = plain.cameras["render"].camera, narrow.cameras["render"].camera

@@ -192,12 +192,14 @@ def simulated_size(path):
     return np.subtract(high, low).tolist()
 
 
-def test_stl_meshes_of_robots_keep_their_collision_shape(tmp_path):
+def test_meshes_of_robots_keep_their_collision_shape(tmp_path):
     for mesh, content in (("A.STL", ascii_stl()), ("a.stl", binary_stl())):
         path = write_model(tmp_path, mesh, content)
         text = path.read_text().replace("<collision>", '<drake:proximity/><collision drake:acceleration="3">')
         path.write_text("\n" + '<?xml version="1.0"?>' + text)  # extensions without a declaration are ignored
         assert simulated_size(path) == pytest.approx(SIZE, abs=0.01)
+    cone = Path(pybullet_data.getDataPath()) / "racecar" / "meshes" / "cone.dae"
+    assert min(simulated_size(write_model(tmp_path, "a.dae", cone.read_bytes()))) > 0.1
 
 
 @pytest.mark.parametrize(
@@ -234,11 +236,6 @@ def test_other_formats_than_urdf_are_named(tmp_path):
         path.write_text(text)
         with pytest.raises(ValueError, match=f"{path}.*{reason}|{reason}.*{path}"):
             read_urdf(path)
-
-
-def test_collada_meshes_of_robots_are_read(tmp_path):
-    cone = Path(pybullet_data.getDataPath()) / "racecar" / "meshes" / "cone.dae"
-    assert min(simulated_size(write_model(tmp_path, "a.dae", cone.read_bytes()))) > 0.1
 
 
 def test_model_that_bullet_refuses_is_named():

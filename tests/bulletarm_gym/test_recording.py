@@ -190,14 +190,14 @@ from bulletarm_gym.demonstrations import load, replay
 found = load("own.h5")
 env = found.make_env()
 print(type(env.unwrapped.task).__name__, len(list(replay(found, 0, env.unwrapped))) == len(found[0]) + 1)
-gymnasium.make("my_tasks:" + found.env_id)
+gymnasium.make("my_recorded_tasks:" + found.env_id)
 """
-OWN_ID = "my_tasks:BulletArm/CloseLoopOwnReaching-v0"
+OWN_ID = "my_recorded_tasks:BulletArm/CloseLoopOwnReaching-v0"
 
 
 @pytest.mark.usefixtures("own_registrations")
 def test_file_of_an_own_task_replays_in_a_fresh_process_that_prints_nothing_else(tmp_path, monkeypatch):
-    (tmp_path / "my_tasks.py").write_text(OWN_TASK)
+    (tmp_path / "my_recorded_tasks.py").write_text(OWN_TASK)
     monkeypatch.syspath_prepend(tmp_path)
     collect(OWN_ID, 1, seed=0, env_kwargs={"obs_size": 32}, path=tmp_path / "own.h5")
     monkeypatch.setenv(VARIABLE, "{}")

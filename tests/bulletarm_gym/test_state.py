@@ -195,9 +195,6 @@ def test_json_keeps_values_and_types():
     ):
         back = json_state.loads(json_state.dumps(value))
         assert back == value and type(back) is type(value)
-
-
-def test_numpy_scalars_become_numbers():
     values = (np.float64(0.1), np.int64(3), np.bool_(True))
     assert json_state.loads(json_state.dumps(values)) == (0.1, 3, True)
     for value in (object(), {1, 2}, np.zeros(3), OrderedDict()):

@@ -5,7 +5,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from xml.etree import ElementTree
-from xml.etree.ElementTree import Element, SubElement
+from xml.etree.ElementTree import SubElement
 
 import gymnasium
 import numpy as np
@@ -14,11 +14,11 @@ from rollouts import PICKING, finish
 
 from bulletarm_gym.config import WORKSPACES, ParameterError
 from bulletarm_gym.geometry import Pose, euler_pose, matrix
-from bulletarm_gym.robots import KUKA, PANDA, ROBOTS, Gripper, ParallelJaw, RobotModel
+from bulletarm_gym.robots import KUKA, PANDA, ROBOTS, ParallelJaw
 from bulletarm_gym.robots.editing import LIGHT, add_link, attach, box, on_slides, without
 from bulletarm_gym.simulation.client import Client
 from bulletarm_gym.simulation.loading import load_urdf
-from bulletarm_gym.simulation.urdf import add_joint, find_joint, frame_of, read_urdf, to_text
+from bulletarm_gym.simulation.urdf import add_joint, end_of, find, frame_of, read_urdf, to_text
 
 ORIGIN = Pose((0.0, 0.0, 0.0))
 FINGERS = ("left_finger_joint", "right_finger_joint")
@@ -37,28 +37,20 @@ def changed_kuka(change, **changes):
 
 
 def random_arm(rng):
-    """Return a chain of random joints with two fingers, and the names of the arm's joints.
-
-    Some joints are fixed, prismatic or not named. Only the last one needs to be revolute and named.
-    """
-    root, named, parent = Element("robot", name="random"), [], "base"
-    add_link(root, parent, 1.0, [PART])
-    for number in range(10):
-        kind = str(rng.choice(["revolute", "continuous", "prismatic", "fixed"])) if number < 9 else "revolute"
-        child, name = f"link{number}", f"joint{number}"
-        add_link(root, child, 0.5, [PART])
-        position, angles = rng.uniform(-0.2, 0.2, 3).tolist(), rng.uniform(-3.0, 3.0, 3).tolist()
-        axis = rng.normal(size=3)
-        axis = (axis / np.linalg.norm(axis)).tolist()
-        is_named = number == 9 or (kind in ("revolute", "continuous") and rng.random() < 0.8)
+    """Return the KUKA with random joints, of which only the last must be revolute, and the named ones."""
+    root, named = KUKA.load(), []
+    for name in KUKA.joints:
+        is_last = name == KUKA.joints[-1]
+        kind = "revolute" if is_last else str(rng.choice(["revolute", "continuous", "prismatic", "fixed"]))
+        is_named = is_last or (kind in ("revolute", "continuous") and rng.random() < 0.8)
         low = -1.0 if is_named else float(rng.choice([-1.0, 0.2]))
-        add_joint(root, kind, name, (parent, child), euler_pose(position, angles), axis, (low, 1.5))
+        joint = find(root, "joint", name)
+        links = tuple(end_of(joint, end) for end in ("parent", "child"))
+        root.remove(joint)
+        origin = euler_pose(*rng.uniform((-0.2, -3.0), (0.2, 3.0), (3, 2)).T.tolist())
+        axis = rng.normal(size=3)
+        add_joint(root, kind, name, links, origin, (axis / np.linalg.norm(axis)).tolist(), (low, 1.5))
         named += [name] * is_named
-        parent = child
-    for name, side in zip(FINGERS, (1.0, -1.0), strict=True):
-        add_link(root, name.removesuffix("_joint"), 0.05, [PART])
-        links = (parent, name.removesuffix("_joint"))
-        add_joint(root, "prismatic", name, links, ORIGIN, (side, 0.0, 0.0), (0.0, 0.05))
     return root, tuple(named)
 
 
@@ -68,9 +60,8 @@ def test_forward_kinematics_equals_the_pose_of_the_link_in_bullet(seed):
     rng = np.random.default_rng(seed)
     root, names = random_arm(rng)
     kinds = {joint.get("name"): joint.get("type") for joint in root.findall("joint")}
-    tool, base = Pose((0.03, -0.02, 0.1)), euler_pose((0.1, 0.2, 0.3), (0.0, 0.0, 0.4))
-    gripper = Gripper(stroke=0.1, finger=(0.01, 0.02, 0.05))
-    model = RobotModel("random", lambda: root, names, tool, gripper, base, (0.0,) * len(names), 10.0)
+    base, posture = euler_pose((0.1, 0.2, 0.3), (0.0, 0.0, 0.4)), (0.0,) * len(names)
+    model = replace(KUKA, load=lambda: root, joints=names, base=base, posture=posture, force=10.0)
     positions = rng.uniform(-0.9, 1.4, len(names))
     client, moved = Client(), dict(zip(names, positions.tolist(), strict=True))
     body, _ = load_urdf(client, "file", to_text(root), base)
@@ -83,7 +74,7 @@ def test_forward_kinematics_equals_the_pose_of_the_link_in_bullet(seed):
         if name == names[-1]:
             last = joint
     state = client.getLinkState(body, last, computeForwardKinematics=True)
-    simulated = Pose(state[4], state[5]).compose(tool)
+    simulated = Pose(state[4], state[5]).compose(KUKA.tool)
     ours = model.chain.forward(positions)
     np.testing.assert_allclose(ours.position, simulated.position, atol=1e-6)
     np.testing.assert_allclose(matrix(ours), matrix(simulated), atol=1e-6)
@@ -127,7 +118,7 @@ def drop(name, tag):
 
 def mimic(name, source):
     """Return a change that couples a joint to another."""
-    return lambda root: SubElement(find_joint(root, name), "mimic", joint=source, multiplier="0.5")
+    return lambda root: SubElement(find(root, "joint", name), "mimic", joint=source, multiplier="0.5")
 
 
 def rod(root):
@@ -224,7 +215,7 @@ def test_on_slides_keeps_fixed_joints_and_moves_prismatic_fingers():
     root = on_slides(ElementTree.fromstring(SLIDES), "palm", ("l", "r"), closed=0.021, opened=0.057)
     offset = 0.021 * np.array((-math.sin(0.5), math.cos(0.5), 0.0))
     for name, sign in (("l", 1.0), ("r", -1.0)):
-        joint = find_joint(root, name)
+        joint = find(root, "joint", name)
         assert frame_of(joint).position == pytest.approx(((0.1, 0.0, 0.0) + sign * offset).tolist())
         axis = [float(part) for part in joint.findall("axis")[0].get("xyz", "").split()]
         assert axis == pytest.approx((0.0, sign, 0.0))
@@ -275,7 +266,7 @@ def test_attach_joins_the_models_of_an_arm_and_a_gripper():
     mount = euler_pose((0.0, 0.0, 0.0), (0.0, 0.0, -math.pi / 4.0))
     joined = attach(bare_panda(), "panda_link8", hand, mount)
     model = replace(PANDA, load=lambda: joined)
-    origins = [frame_of(find_joint(one.urdf, PANDA.gripper.joints[0])) for one in (PANDA, model)]
+    origins = [frame_of(find(one.urdf, "joint", PANDA.gripper.joints[0])) for one in (PANDA, model)]
     assert origins[1].position == pytest.approx(origins[0].position, abs=1e-4)
     with pytest.raises(ValueError, match="<robot>"):
         attach(KUKA.load(), "lbr_iiwa_link_7", "gripper.urdf", ORIGIN)
