@@ -7,6 +7,7 @@ import argparse
 from pathlib import Path
 from statistics import fmean
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from measurements import DATA, DataFile
@@ -24,11 +25,13 @@ def main() -> None:
     figure = Figure(figsize=(5.2, 0.9 + 0.24 * len(tasks)), layout="constrained")
     axes = figure.subplots()
     for mean, task in sorted((fmean(float(row["last"]) for row in tasks[task]), task) for task in tasks):
-        label, minutes = task.removeprefix(args.control), [row["minutes"] for row in tasks[task]]
+        label = task.removeprefix(args.control)
+        minutes = [float(row["minutes"] or "nan") for row in tasks[task]]
         axes.barh(label, mean, 0.7, color="#7f9fc4")
         for row in tasks[task]:
             axes.plot(float(row["last"]), label, "o", color="#b8650f", markersize=4, clip_on=False)
-        axes.text(1.04, label, f"{mean:.2f}, {fmean(map(float, filter(None, minutes))):.0f} min", va="center")
+        duration = "" if np.isnan(minutes).all() else f", {np.nanmean(minutes):.0f} min"
+        axes.text(1.04, label, f"{mean:.2f}{duration}", va="center")
     axes.set(xlim=(0.0, 1.0), xlabel="success rate in 100 episodes (dots: seeds), time of training")
     axes.spines[["top", "right"]].set_visible(False)
     figure.savefig(args.output, dpi=200)
