@@ -26,6 +26,7 @@ class ExperimentConfig:
     :param preset: The preset, None for hyperparameters from elsewhere
     :param benchmark: The benchmark that defines the task's parameters, None for another task
     :param overrides: Hyperparameters that replace those of the baseline
+    :param sources: Layers that define the values, by dotted name such as ``hyperparams.gamma``
     """
 
     algo: str
@@ -36,6 +37,7 @@ class ExperimentConfig:
     preset: str | None = None
     benchmark: str | None = None
     overrides: dict[str, Any] = field(default_factory=dict)
+    sources: dict[str, Layer] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def label(self) -> str:
@@ -44,8 +46,9 @@ class ExperimentConfig:
 
     def overridden(self, overrides: Mapping[str, Any]) -> "ExperimentConfig":
         """Return the experiment with hyperparameters that replace its own; mappings are merged."""
-        merged = merge(self.hyperparams, overrides)
-        return replace(self, hyperparams=merged, overrides=merge(self.overrides, overrides))
+        changes = {name: merge(getattr(self, name), overrides) for name in ("hyperparams", "overrides")}
+        names = (name for name, _ in leaves({"hyperparams": overrides}))
+        return replace(self, **changes, sources=self.sources | dict.fromkeys(names, OVERRIDES))
 
 
 def resolve(
@@ -66,32 +69,20 @@ def resolve(
     :return: The experiment
     :raises CommandError: for an unknown name, or a benchmark without the task or the network
     """
-    return explain(baseline, preset, env_id, overrides, benchmark)[0]
-
-
-def explain(
-    baseline: str,
-    preset: str,
-    env_id: str,
-    overrides: Mapping[str, Any] | None = None,
-    benchmark: str | None = None,
-) -> tuple[ExperimentConfig, dict[str, Layer]]:
-    """Return an experiment as :func:`resolve` does, and the layer of each value by dotted name."""
     family = family_of(env_id)
-    case = family.case(baseline, preset, env_id, benchmark)
-    overrides = copy.deepcopy(dict(overrides or {}))
+    benchmark = family.benchmark_of(baseline, preset, env_id, benchmark)
     merged: dict[str, Any] = {"hyperparams": {}, "flags": {}}
     sources: dict[str, Layer] = {}
-    for layer in [*family.layers(case), OVERRIDES._replace(values={"hyperparams": overrides})]:
+    for layer in family.layers(baseline, preset, env_id, benchmark):
         _merge_into(merged, layer.values)
         sources.update({name: layer for name, _ in leaves(layer.values)})
-    hyperparams, flags = merged["hyperparams"], merged["flags"]
-    for name, parameter in _follow_environment(hyperparams, overrides):
-        sources[f"hyperparams.{name}"] = sources[f"hyperparams.env_kwargs.{parameter}"]
-    experiment = ExperimentConfig(
-        merged["algo"], env_id, hyperparams, flags, baseline, preset, case.benchmark, overrides
+    names = {"baseline": baseline, "preset": preset, "benchmark": benchmark}
+    experiment = ExperimentConfig(**merged, env_id=env_id, **names, sources=sources).overridden(
+        overrides or {}
     )
-    return experiment, sources
+    for name, parameter in _follow_environment(experiment.hyperparams, experiment.overrides):
+        experiment.sources[f"hyperparams.{name}"] = experiment.sources[f"hyperparams.env_kwargs.{parameter}"]
+    return experiment
 
 
 def leaves(mapping: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -168,11 +159,7 @@ def explained_yaml(experiment: ExperimentConfig, options: Mapping[str, Any], giv
     :param options: Options of the training by name
     :param given: Those that the command line defines
     """
-    sources = {f"hyperparams.{name}": OVERRIDES for name in experiment.overrides}
-    if experiment.baseline is not None and experiment.preset is not None:
-        names = (experiment.baseline, experiment.preset, experiment.env_id)
-        _, sources = explain(*names, experiment.overrides, experiment.benchmark)
-    sources = {"hyperparams": DEFAULT, "algo": OVERRIDES, "flags": DEFAULT, **sources}
+    sources = {"hyperparams": DEFAULT, "algo": OVERRIDES, "flags": DEFAULT, **experiment.sources}
     sources.update({f"flags.{name}": OVERRIDES for name in given})
     lines = [_line("algo", experiment.algo, sources["algo"]), f"{experiment.env_id}:"]
     lines += _lines(experiment.hyperparams, "hyperparams", sources)

@@ -9,7 +9,7 @@ from zoo_configs.arguments import add_env_kwargs, add_key_values
 from zoo_configs.environments import known_env_id, package_of
 from zoo_configs.errors import CommandError, unknown_name
 from zoo_configs.experiments.config import ExperimentConfig, merge, resolve
-from zoo_configs.experiments.families import families
+from zoo_configs.experiments.families import Layer, families
 from zoo_configs.files import read_yaml
 
 EXTRACTOR = "sb3_extensions.encoders.extractors.CnnExtractor"
@@ -129,4 +129,4 @@ def _experiment_from_file(path: Path, algo: str, env_id: str) -> ExperimentConfi
     section = sections.get(env_id, sections.get("default")) if isinstance(sections, dict) else None
     if not isinstance(section, dict):
         raise CommandError(f"{path} must have a section {env_id!r} or 'default'")
-    return ExperimentConfig(algo, env_id, section)
+    return ExperimentConfig(algo, env_id, section, sources={"hyperparams": Layer(str(path), {})})
