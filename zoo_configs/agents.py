@@ -86,15 +86,24 @@ def find_agent(query: AgentQuery) -> Agent:
     if query.published is not None:
         return _published_agent(query)
     if query.path is not None and query.path.suffix == ".zip":
+        _check_unused(query, "a model file", "baseline", "preset")
         return _agent_of_file(query.path, query)
     return agent_of(find_run(query), query.load_best, query.device)
 
 
 def find_run(query: AgentQuery) -> Run:
     """Find the run that a query describes and register its environment."""
+    if query.path is not None:
+        _check_unused(query, "a run folder", "env", "baseline", "algo", "preset")
     run = load_run(query.path) if query.path is not None else _newest_run(query)
     register_run(run)
     return run
+
+
+def _check_unused(query: AgentQuery, source: str, *names: str) -> None:
+    """Raise ``CommandError`` if a query has properties that cannot select an agent of its source."""
+    if given := [f"--{name}" for name in names if getattr(query, name) is not None]:
+        raise CommandError(f"{', '.join(given)} cannot be combined with {source}")
 
 
 def register_run(run: Run) -> None:
@@ -119,7 +128,9 @@ def _newest_run(query: AgentQuery) -> Run:
         and query.preset in (None, run.experiment.preset)
     ]
     if not runs:
-        raise CommandError(f"no run of {query.baseline or query.algo} on {env_id} in {query.log_folder}")
+        preset = f" with preset {query.preset}" if query.preset else ""
+        wanted = f"{query.baseline or query.algo}{preset}"
+        raise CommandError(f"no run of {wanted} on {env_id} in {query.log_folder}")
     return next((run for run in reversed(runs) if run.has_model), runs[-1])
 
 
@@ -186,8 +197,9 @@ def load_model(
 
 
 def _published_agent(query: AgentQuery) -> Agent:
-    if query.path is not None or query.env is not None:
-        raise CommandError("--published names an agent: pass neither a path nor --env")
+    if query.path is not None:
+        raise CommandError("--published names an agent: pass no path")
+    _check_unused(query, "--published", "env", "algo", "preset")
     found = find_published(str(query.published), query.baseline)
     register_environments(found.card.gym_packages)
     known_env_id(found.card.env)

@@ -46,8 +46,8 @@ TINY = {
 FLAGS = ("--gym-packages", "toy_tasks", "--device", "cpu", "--no-progress")
 
 
-def jobs_of(**keys):
-    return build_jobs(parse_plan("tiny.yml", {**TINY, **keys}), ["toy_tasks"], "cpu")
+def jobs_of(folder, **keys):
+    return build_jobs(parse_plan("tiny.yml", {**TINY, **keys}), folder, ["toy_tasks"], "cpu")
 
 
 def weights(folder):
@@ -87,5 +87,4 @@ def start(folder, plan, *flags):
 
 
 def is_running(folder):
-    how = run_status(folder)
-    return how is not None and how.state is State.RUNNING
+    return run_status(folder).state is State.RUNNING

@@ -30,7 +30,7 @@ def moments(highest, count):
 
 
 def train(folder):
-    [job] = jobs_of(tasks=[COUNTING], seeds=1, options=OPTIONS)
+    [job] = jobs_of(Path(), tasks=[COUNTING], seeds=1, options=OPTIONS)
     return train_run(replace(job, folder=Path(folder)))
 
 

@@ -14,6 +14,7 @@ from sb3_extensions.sacfd import SACfD
 from zoo_configs.agents import algorithm_of
 from zoo_configs.algorithms import algorithm_classes
 from zoo_configs.cli import main
+from zoo_configs.training.runs import load_run
 
 RUN_NAME = "BulletArm-CloseLoopToy-v0_1"
 STACKING = "BulletArm/OpenLoopBlockStacking-v0"
@@ -35,6 +36,7 @@ def test_an_extended_run_equals_a_longer_one(train_tiny, tmp_path, capsys, refus
     assert str(newest) in line and str(older) in line
     assert train_tiny(tmp_path / "c", *constant, "-n", "18") == 0
     assert same(extended, longer) and same(damaged, longer)
+    assert load_run(extended).options == load_run(longer).options
     assert len({(run / "certificate.yml").read_text() for run in runs}) == 1
     for model in damaged.glob("checkpoints/*/model.zip"):
         model.write_bytes(b"")

@@ -40,16 +40,16 @@ def main(argv: Sequence[str]) -> None:
     passed = {"tasks": args.env, "baselines": args.baseline, "preset": args.preset, "seeds": args.seeds}
     changes = {name: value for name, value in passed.items() if value is not None}
     plan = replace(read_plan(args.name), **changes)
-    jobs = build_jobs(plan, args.gym_packages, args.device, max(1, int(args.cpus)))
+    folder = (args.log_folder or Path("benchmarks") / Path(args.name).stem).absolute()
+    jobs = build_jobs(plan, folder, args.gym_packages, args.device, max(1, int(args.cpus)))
     if args.ray is None:
         check_device(args.device)
-    folder = args.log_folder or Path("benchmarks") / Path(args.name).stem
     check_jobs(jobs, folder)
     sizes = {name: size_of(job) for name, job in {job.folder.parent: job for job in reversed(jobs)}.items()}
     if args.dry_run:
         _print_sizes(jobs, sizes)
         return
-    with made_folder(folder), _runner(jobs, sizes, folder.absolute(), args) as runner:
+    with made_folder(folder), _runner(jobs, sizes, folder, args) as runner:
         _report(train_jobs(jobs, folder, runner, args.retry_failed, args.progress))
 
 
@@ -101,7 +101,7 @@ def _print_sizes(jobs: Sequence[Run], sizes: Mapping[Path, Size]) -> None:
     rows = []
     for name, size in sorted(sizes.items()):
         seeds = " ".join(str(job.seed) for job in jobs if job.folder.parent == name)
-        rows.append([str(name), seeds, f"{size.memory:.1f}", f"{size.disk:.2f}"])
+        rows.append(["/".join(name.parts[-2:]), seeds, f"{size.memory:.1f}", f"{size.disk:.2f}"])
     print_table(["experiment", "seeds", "GB of memory", "GB of disk"], rows)
     disk = sum(sizes[job.folder.parent].disk for job in jobs)
     print(f"{len(rows)} experiments, {len(jobs)} runs, {disk:.2f} GB of disk")
@@ -116,14 +116,14 @@ def _runner(
         from zoo_configs.benchmarking.process import run_here
 
         n_jobs = int(args.jobs or max(1, (os.cpu_count() or 1) // max(1, int(args.cpus))))
-        yield lambda waiting, look: run_here(waiting, folder, n_jobs, look)
+        yield lambda waiting, look: run_here(waiting, n_jobs, look)
         return
     from zoo_configs.benchmarking.cluster import check_resources, connected, run_on_ray
 
     with connected(args.ray, folder, args.gym_packages) as token:
-        resources = {str(job.folder): _resources(args, sizes[job.folder.parent]) for job in jobs}
+        resources = {job.folder: _resources(args, sizes[job.folder.parent]) for job in jobs}
         check_resources(resources)
-        yield lambda waiting, look: run_on_ray(waiting, folder, resources, token, look)
+        yield lambda waiting, look: run_on_ray(waiting, resources, token, look)
 
 
 def _resources(args: argparse.Namespace, size: Size) -> dict[str, float]:
@@ -144,7 +144,7 @@ def _report(overview: Overview) -> None:
     print_written(overview.folder)
     failed, number = overview.of(State.FAILED), len(overview.entries)
     if failed:
-        first = f"{failed[0].name}: {failed[0].detail}"
+        first = f"{failed[0]}: {overview.entries[failed[0]].detail}"
         raise CommandError(f"{len(failed)} of {number} runs failed. Use --retry-failed to restart; {first}")
     if left := number - len(overview.of(State.DONE)):
         raise CommandError(f"{left} of {number} runs are locked by other processes")

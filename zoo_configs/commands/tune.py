@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from zoo_configs.arguments import Parser, add_packages, add_progress, positive_int, seed, whole_number
 from zoo_configs.environments import register_environments
+from zoo_configs.errors import CommandError
 from zoo_configs.experiments.families import task_name
 from zoo_configs.experiments.flags import add_experiment_flags, find_experiment, packages_of
 from zoo_configs.files import print_written
@@ -81,8 +82,10 @@ def _search(args: argparse.Namespace) -> Search:
     check_experiment(experiment)
     name = args.study_name or f"{experiment.label}_{task_name(experiment.env_id)}"
     given = {"verbose": 0, "n_timesteps": int(experiment.hyperparams["n_timesteps"]), **given_options(args)}
+    if "eval_freq" in given:
+        raise CommandError("--eval-freq follows from the time steps of a trial. Use --n-evaluations.")
     given["eval_freq"] = max(given["n_timesteps"] // args.n_evaluations, 1)
-    given["save_freq"] = given.get("save_freq") or given["eval_freq"]
+    given.setdefault("save_freq", given["eval_freq"])
     folder, options = args.log_folder / "studies" / name, TrainingOptions.of(experiment, given)
     run = Run(folder, experiment, args.seed, args.device, options, packages_of(args))
     space = load_space(experiment, args.hyperparams, args.space)

@@ -46,9 +46,13 @@ class ExperimentConfig:
 
     def overridden(self, overrides: Mapping[str, Any]) -> "ExperimentConfig":
         """Return the experiment with hyperparameters that replace its own; mappings are merged."""
-        changes = {name: merge(getattr(self, name), overrides) for name in ("hyperparams", "overrides")}
-        names = (name for name, _ in leaves({"hyperparams": overrides}))
-        return replace(self, **changes, sources=self.sources | dict.fromkeys(names, OVERRIDES))
+        sources = {name: OVERRIDES for name, _ in leaves({"hyperparams": overrides})}
+        return replace(
+            self,
+            hyperparams=merge(self.hyperparams, overrides),
+            overrides=merge(self.overrides, overrides),
+            sources={**self.sources, **sources},
+        )
 
 
 def resolve(
@@ -76,7 +80,7 @@ def resolve(
     for layer in family.layers(baseline, preset, env_id, benchmark):
         _merge_into(merged, layer.values)
         sources.update({name: layer for name, _ in leaves(layer.values)})
-    names = {"baseline": baseline, "preset": preset, "benchmark": benchmark}
+    names: dict[str, Any] = {"baseline": baseline, "preset": preset, "benchmark": benchmark}
     experiment = ExperimentConfig(**merged, env_id=env_id, **names, sources=sources).overridden(
         overrides or {}
     )

@@ -130,7 +130,7 @@ def claim_run_folder(log_folder: Path, env_id: str) -> Path:
 
 
 def write_resolved(run: Run) -> None:
-    """Write the configuration of a run, in the form of rl_zoo3's ``--conf-file``."""
+    """Write the configuration of a run, in the form of rl_zoo3's ``--conf-file`` and for its ``enjoy``."""
     experiment = run.experiment
     about = {
         **{name: getattr(experiment, name) for name in EXPERIMENT_KEYS},
@@ -142,6 +142,7 @@ def write_resolved(run: Run) -> None:
         "versions": versions(),
         "machine": describe_hardware(run.device),
     }
+    write_yaml(run.params_folder / "config.yml", dict(sorted(experiment.hyperparams.items())))
     write_yaml(run.resolved_file, {RUN_KEY: about, experiment.env_id: experiment.hyperparams})
 
 

@@ -19,7 +19,7 @@ from zoo_configs.environments import register_environments, tried_env
 from zoo_configs.errors import CommandError
 from zoo_configs.experiments.config import ExperimentConfig
 from zoo_configs.experiments.validation import check_experiment, check_expert_data
-from zoo_configs.files import made_folder, write_yaml
+from zoo_configs.files import made_folder
 from zoo_configs.training.evaluation import save_model
 from zoo_configs.training.options import TrainingOptions
 from zoo_configs.training.runs import Run, claim_run_folder, clear, load_run, write_resolved
@@ -82,7 +82,6 @@ def train_experiment(
     with made_folder(logs):
         run = replace(run, folder=claim_run_folder(logs, experiment.env_id))
         try:
-            write_resolved(run)
             return _train(run, None, callbacks, progress)
         except BaseException:
             if not run.has_model and latest_checkpoint(run.checkpoint_folder) is None:
@@ -144,8 +143,6 @@ def train_run(
         return run
     run.folder.mkdir(parents=True, exist_ok=True)
     is_begun = latest_checkpoint(run.checkpoint_folder) is not None
-    if not is_begun:
-        write_resolved(run)
     return _train(run, _latest_checkpoint(run) if is_begun else None, callbacks, progress)
 
 
@@ -167,8 +164,7 @@ def _train(run: Run, checkpoint: Path | None, callbacks: Sequence[BaseCallback],
             clear(run)
         set_random_seed(run.seed)
         with closing(Trainer(logged, checkpoint, callbacks, progress)) as trainer:
-            # rl_zoo3 loads a run with this file.
-            write_yaml(run.params_folder / "config.yml", dict(sorted(run.experiment.hyperparams.items())))
+            write_resolved(run)
             if run.options.verbose:
                 print(f"Training in {run.folder}", flush=True)
             finished = trainer.learn()
