@@ -79,7 +79,6 @@ def read_experiments(
 
     Of runs with the same experiment and seed, the longest one counts.
 
-    :param log_folder: Folder of all runs, or of a benchmark
     :param env_ids: Ids of environments, None for all
     :param baselines: Baselines, None for all
     :return: The experiments, sorted by environment and label
@@ -170,11 +169,7 @@ def _listed(values: Mapping[int, float]) -> str:
 
 
 def write_tables(experiments: Sequence[ExperimentResults], picture: Path) -> list[Path]:
-    """
-    Write the results next to a figure, with the same name.
-
-    :return: A Markdown file with figure, tables, commands and machines, and a CSV file with one row a run
-    """
+    """Write a Markdown page with figure, tables and commands, and a CSV of the runs, next to a figure."""
     page, table = picture.with_suffix(".md"), picture.with_suffix(".csv")
     results = [(one.env_id, one.label, result) for one in experiments for result in one.results.values()]
     parts = [

@@ -287,7 +287,7 @@ def test_a_killed_caller_or_node_loses_nothing(ray_cluster, bench, tmp_path, cap
     assert bench("--ray", ray_cluster.address, **plan) == 2
     killer.join()
     assert "2 done, 0 running, 0 waiting, 2 failed" in capsys.readouterr().out.splitlines()
-    assert not list(out.glob(".benchmark-*"))
+    assert len(list(out.glob(".benchmark-*"))) <= 1  # of the killed caller
     plan |= {"tasks": ["CloseLoopToySlow"], "baselines": ["sacfd"]}
     [job], [whole] = (jobs_of(folder, **plan) for folder in (out, tmp_path / "whole"))
     assert same(job.folder, train_run(whole).folder)

@@ -14,13 +14,13 @@ from bulletarm_gym.registry import TASKS
 from sb3_extensions.encoders.cnn import plan_stages
 from sb3_extensions.replay.sampling import PrioritizedSampler, make_sampler
 from zoo_configs.cli import main
-from zoo_configs.commands.train import build_parser
 from zoo_configs.errors import CommandError
 from zoo_configs.experiments.config import explained_yaml, merge, resolve
 from zoo_configs.experiments.families import families, parse_family
 from zoo_configs.experiments.flags import find_experiment
 from zoo_configs.experiments.validation import check_experiment
 from zoo_configs.files import Dumper, parse_yaml
+from zoo_configs.parsers import parse_train
 
 GOLDEN_FILE = Path(__file__).with_name("golden_experiments.yml")
 WRITE = "WRITE_GOLDEN_EXPERIMENTS"
@@ -32,7 +32,7 @@ PICKING, STACKING = "BulletArm/CloseLoopBlockPicking-v0", "BulletArm/OpenLoopBlo
 def experiment_of(line):
     """Return the experiment that flags of ``train`` name."""
     line = line.replace("PICKING", PICKING).replace("STACKING", STACKING)
-    return find_experiment(build_parser().parse_args(line.split()))
+    return find_experiment(parse_train(line.split()))
 
 
 def hyperparams_of(*names):

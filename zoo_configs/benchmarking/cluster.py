@@ -19,7 +19,7 @@ from zoo_configs.environments import register_environments
 from zoo_configs.errors import CommandError, reason
 from zoo_configs.files import check_writable
 from zoo_configs.provenance import versions
-from zoo_configs.training.runs import CHECKPOINT_FOLDER, Run
+from zoo_configs.training.runs import Run
 from zoo_configs.training.state import State, set_status
 
 CONNECTING_SECONDS = 15.0
@@ -38,15 +38,11 @@ Resources = Mapping[str, float]
 
 
 def check_address(address: str) -> None:
-    """
-    Connect to a Ray cluster in another process, because ``ray.init`` retries a dead address for many minutes.
-
-    :raises CommandError: if Ray is not installed, or no cluster answers within ``CONNECTING_SECONDS``
-    """
+    """Raise ``CommandError`` if Ray is not installed or no cluster answers within ``CONNECTING_SECONDS``."""
     if find_spec("ray") is None:
         raise CommandError("--ray needs Ray: pip install 'bulletarm-gym[cluster]'")
     command, why = [sys.executable, "-c", CONNECT, address], f"no answer within {CONNECTING_SECONDS:g} s"
-    try:
+    try:  # in another process, because ``ray.init`` retries a dead address for many minutes
         subprocess.run(command, capture_output=True, text=True, timeout=CONNECTING_SECONDS, check=True)
     except subprocess.SubprocessError as error:
         if isinstance(error, subprocess.CalledProcessError):
@@ -98,12 +94,7 @@ def connected(address: str, folder: Path, gym_packages: Sequence[str]) -> Iterat
 
 
 def check_machine(token: Path, gym_packages: Sequence[str], required: Mapping[str, str]) -> None:
-    """
-    Raise ``CommandError`` if a machine of the cluster cannot train.
-
-    :param token: File of :func:`connected`
-    :param required: Required versions, because a run may move to another machine
-    """
+    """Raise ``CommandError`` if a machine of the cluster cannot train, or continue runs of the others."""
     _check_shared(token)
     check_writable(token, "--log-folder")
     register_environments(gym_packages)
@@ -134,16 +125,9 @@ def _check_shared(token: Path) -> None:
 
 
 def train(job: Run, token: Path) -> int:
-    """
-    Train one run on a machine of the cluster and return the exit code.
-
-    An error of the run is recorded in its folder and does not fail the Ray task, which Ray would repeat.
-
-    :param token: File of :func:`connected`
-    :raises CommandError: if the machine cannot read the folder
-    """
+    """Train one run on a machine of the cluster and return its exit code; Ray would repeat a failed task."""
     _check_shared(token)
-    if _starts(job.folder, token) > MAX_STARTS:
+    if _starts(job, token) > MAX_STARTS:
         error = f"lost {MAX_STARTS} times at the same checkpoint. It may need more memory"
         set_status(job.folder, State.FAILED, error)
         return int(ExitCode.FAILED)
@@ -157,11 +141,11 @@ def train(job: Run, token: Path) -> int:
     return int(process.exit_code())
 
 
-def _starts(run_folder: Path, token: Path) -> int:
+def _starts(job: Run, token: Path) -> int:
     """Count the starts of a run from its newest checkpoint in this benchmark."""
-    newest = " ".join(sorted(path.name for path in (run_folder / CHECKPOINT_FOLDER).glob("[!.]*")))
-    run_folder.mkdir(parents=True, exist_ok=True)
-    with (run_folder / STARTS_FILE).open("a+", encoding="utf-8") as file:
+    newest = " ".join(sorted(path.name for path in job.checkpoint_folder.glob("[!.]*")))
+    job.folder.mkdir(parents=True, exist_ok=True)
+    with (job.folder / STARTS_FILE).open("a+", encoding="utf-8") as file:
         file.write(f"{token.name} {newest}\n")
         file.seek(0)
         return file.read().splitlines().count(f"{token.name} {newest}")
@@ -173,9 +157,6 @@ def run_on_ray(
     """
     Train runs on the connected cluster. A run that is lost with its machine resumes on another one.
 
-    :param resources: Resources of each run by its folder
-    :param token: File of :func:`connected`
-    :param look: Function that is called regularly
     :raises CommandError: if the storage is full, or a machine cannot read it; the runs are interrupted
     :raises KeyboardInterrupt: after Ctrl-C, when the runs have stopped
     """

@@ -89,11 +89,7 @@ def parse_plan(where: str, content: Any) -> Plan:
 
 
 def build_jobs(
-    plan: Plan,
-    folder: Path,
-    gym_packages: Sequence[str] = (),
-    device: str = "auto",
-    num_threads: int = 1,
+    plan: Plan, folder: Path, gym_packages: Sequence[str] = (), device: str = "auto", num_threads: int = 1
 ) -> list[Run]:
     """
     Return the runs of a plan in the order in which they start.

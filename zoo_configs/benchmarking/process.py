@@ -18,6 +18,7 @@ from pathlib import Path
 from zoo_configs.errors import CommandError, causes, reason
 from zoo_configs.training.runs import Run
 from zoo_configs.training.state import State, is_training, run_status, set_status
+from zoo_configs.training.train import train_run
 
 LOG_FILE = "log.txt"
 LOCK_SECONDS, LOCK_POLL = 180.0, 0.2
@@ -41,13 +42,7 @@ class ExitCode(IntEnum):
 
 
 class JobProcess:
-    """
-    Process that trains one run and writes its output to ``log.txt`` in the run folder.
-
-    It has its own process group and is killed when its parent ends.
-
-    :param environ: Further environment variables
-    """
+    """Process group that trains one run, with its output in ``log.txt``, and is killed with its parent."""
 
     def __init__(self, job: Run, environ: Mapping[str, str] | None = None) -> None:
         # The fork server has imported PyTorch, but has neither threads nor a device.
@@ -92,7 +87,6 @@ def run_here(jobs: Sequence[Run], n_jobs: int, look: Callable[[], None]) -> None
     Train runs in processes of this machine, in the order of ``jobs``. A failed run does not stop the others.
 
     :param n_jobs: Number of runs at the same time
-    :param look: Function that is called regularly
     :raises CommandError: if the storage is full; the runs are interrupted
     :raises KeyboardInterrupt: after Ctrl-C, when the runs have stopped; a second Ctrl-C kills them
     """
@@ -153,8 +147,6 @@ def _end_with_parent() -> None:
 
 
 def _train(job: Run) -> None:
-    from zoo_configs.training.train import train_run
-
     job.folder.mkdir(parents=True, exist_ok=True)
     with (job.folder / LOG_FILE).open("a", encoding="utf-8") as file:
         for stream in (sys.stdout, sys.stderr):

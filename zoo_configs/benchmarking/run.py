@@ -11,12 +11,14 @@ from typing import Any, NamedTuple
 
 from tqdm import tqdm
 
+from sb3_extensions.replay.buffer import ExpertReplayBuffer
 from zoo_configs.algorithms import algorithm_classes, class_from_path
 from zoo_configs.drawing.curves import load_curve
 from zoo_configs.environments import make_env, try_env
 from zoo_configs.errors import CommandError, refused
 from zoo_configs.experiments.validation import check_experiment
 from zoo_configs.files import check_writable
+from zoo_configs.training.objects import import_classes
 from zoo_configs.training.runs import Run, load_run
 from zoo_configs.training.state import LOCK_FILE, State, run_lock, set_status
 from zoo_configs.training.train import check_same
@@ -49,9 +51,6 @@ def size_of(job: Run) -> Size:
 
 def _buffer_gigabytes(job: Run) -> float:
     """Return the size of the part of the replay buffer that the run fills."""
-    from sb3_extensions.replay.buffer import ExpertReplayBuffer
-    from zoo_configs.training.objects import import_classes
-
     hyperparams = job.experiment.hyperparams
     path = hyperparams.get("replay_buffer_class")
     default = getattr(algorithm_classes()[job.experiment.algo], "default_replay_buffer_class", None)
@@ -133,11 +132,7 @@ def _read_entry(job: Run) -> Entry:
 
 @contextmanager
 def shown(overview: Overview, progress: bool = False) -> Iterator[Callable[[], None]]:
-    """
-    Print each change of an overview, above a progress bar with the counts.
-
-    Provide a function to call often, which updates the overview.
-    """
+    """Provide a function to call often, which prints the changes of an overview above a progress bar."""
     last = -INTERVAL
     with tqdm(total=len(overview.entries), unit="run", disable=not progress) as bar:
 
@@ -157,20 +152,9 @@ def shown(overview: Overview, progress: bool = False) -> Iterator[Callable[[], N
 
 
 def train_jobs(
-    jobs: Sequence[Run],
-    folder: Path,
-    runner: Runner,
-    retry_failed: bool = False,
-    progress: bool = False,
+    jobs: Sequence[Run], folder: Path, runner: Runner, retry_failed: bool = False, progress: bool = False
 ) -> Overview:
-    """
-    Train the runs that are not done, in a folder that is locked meanwhile, and return their status.
-
-    :param runner: Function that trains runs
-    :param retry_failed: Whether to resume failed runs
-    :param progress: Whether to show a progress bar
-    :raises CommandError: if the runner cannot continue; the runs can be resumed
-    """
+    """Train the runs that are not done, in a folder that is locked meanwhile, and return their status."""
     overview = Overview(jobs, folder)
     with run_lock(folder):
         overview.update()

@@ -18,8 +18,6 @@ class ExperimentConfig:
     """
     An experiment without its seed: everything that training needs.
 
-    :param algo: Name of the algorithm
-    :param env_id: Id of the environment
     :param hyperparams: Hyperparameters, as in a section of rl_zoo3's YAML files
     :param flags: Defaults for flags of ``train``, by option name
     :param baseline: The baseline, None for hyperparameters from elsewhere
@@ -67,10 +65,8 @@ def resolve(
 
     :param baseline: A baseline, for example ``"equi_sacfd"``
     :param preset: ``"cpu"``, ``"paper"`` or, for closed-loop tasks, ``"quick"``
-    :param env_id: Id of the environment
     :param overrides: Hyperparameters that replace all others; mappings are merged
     :param benchmark: The benchmark that defines the task's parameters; None for the first that fits
-    :return: The experiment
     :raises CommandError: for an unknown name, or a benchmark without the task or the network
     """
     family = family_of(env_id)
@@ -157,12 +153,7 @@ def _at(mapping: Mapping[str, Any], name: str) -> dict[str, Any]:
 
 
 def explained_yaml(experiment: ExperimentConfig, options: Mapping[str, Any], given: Mapping[str, Any]) -> str:
-    """
-    Return an experiment with the sources of its values, as YAML that ``train --conf-file`` reads as well.
-
-    :param options: Options of the training by name
-    :param given: Those that the command line defines
-    """
+    """Return an experiment and options, some ``given`` by flags, as YAML with the source of each value."""
     sources = {"hyperparams": DEFAULT, "algo": OVERRIDES, "flags": DEFAULT, **experiment.sources}
     sources.update({f"flags.{name}": OVERRIDES for name in given})
     lines = [_line("algo", experiment.algo, sources["algo"]), f"{experiment.env_id}:"]

@@ -27,13 +27,7 @@ class Baseline(NamedTuple):
 
 
 class Layer(NamedTuple):
-    """
-    Values of one section of a configuration file.
-
-    :param source: The file and the section
-    :param values: ``algo``, ``hyperparams`` and ``flags``, merged with those of earlier layers
-    :param why: The reason, or the source of the numbers
-    """
+    """``algo``, ``hyperparams`` and ``flags`` of a section of a file, and why they have these values."""
 
     source: str
     values: Mapping[str, Any]
@@ -48,9 +42,7 @@ class Family:
     :param name: Name of the file without its suffix
     :param envs: Shell pattern of the ids
     :param benchmarks: Networks by benchmark; without a choice, the first benchmark with the task applies
-    :param baselines: Baselines by name
     :param algorithms: Baselines for an algorithm without one of its name; the first for the task applies
-    :param sections: The sections by key
     """
 
     name: str
@@ -74,11 +66,7 @@ class Family:
         return not self._networks(env_id) or bool(self._fitting(baseline, env_id, benchmark))
 
     def benchmark_of(self, baseline: str, preset: str, env_id: str, wanted: str | None = None) -> str | None:
-        """
-        Return the benchmark that defines a task's parameters, None for a task of no benchmark.
-
-        :raises CommandError: if a name is unknown, or the names do not fit together
-        """
+        """Return the benchmark of a task's parameters, if any; raise ``CommandError`` if names do not fit."""
         for kind, name, valid in (("baseline", baseline, self.baselines), ("preset", preset, self.presets)):
             others = [family.envs for family in families() if name in (*family.baselines, *family.presets)]
             if name not in valid and others:

@@ -34,11 +34,7 @@ def add_experiment_flags(parser: argparse.ArgumentParser) -> None:
 
 
 def find_experiment(args: argparse.Namespace) -> ExperimentConfig:
-    """
-    Return the experiment that the flags name: of a file, a baseline, or an algorithm's defaults.
-
-    :raises CommandError: if the flags name none
-    """
+    """Return the experiment of a file, a baseline or an algorithm; raise ``CommandError`` without any."""
     if args.env is None:
         raise CommandError("name an environment with --env, see bulletarm-zoo list")
     env_id = known_env_id(args.env)
