@@ -13,6 +13,7 @@ import pytest
 
 import bulletarm_gym
 from fill_tables import filled
+from zoo_configs import parsers
 from zoo_configs.cli import COMMANDS
 from zoo_configs.experiments.flags import find_experiment
 from zoo_configs.experiments.validation import check_experiment
@@ -57,17 +58,12 @@ def _find(path):
         return getattr(_find(module), name)
 
 
-def _parse(name, words):
-    module = importlib.import_module(f"zoo_configs.commands.{name}")
-    return module._parse(words) if hasattr(module, "_parse") else module.build_parser().parse_args(words)
-
-
 @pytest.mark.parametrize("page", WITH_COMMANDS, ids=lambda page: page.name)
 def test_commands_are_accepted(page):
     for line in COMMAND.findall(re.sub(r"\\\n\s*", " ", page.read_text(encoding="utf-8"))):
         name, *words = shlex.split(line, comments=True)
         if name in COMMANDS and "..." not in words:
-            args = _parse(name, words)
+            args = getattr(parsers, f"parse_{name}")(words)
             if name == "train" and args.baseline and args.env in bulletarm_gym.ENV_IDS:
                 check_experiment(find_experiment(args))
 

@@ -1,19 +1,20 @@
 """Trained agents: finding and loading them."""
 
+import argparse
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.save_util import load_from_zip_file
 
-from sb3_extensions.common.env_metadata import constructor_keys
+from sb3_extensions.common.env_metadata import constructor_arguments
 from zoo_configs.algorithms import ALGORITHMS, algorithm_classes
 from zoo_configs.arguments import check_device
 from zoo_configs.environments import known_env_id, register_environments
 from zoo_configs.errors import CommandError, refused, unknown_name
-from zoo_configs.publishing.published import Published, find_published
+from zoo_configs.publishing.published import Card, find_published
 from zoo_configs.training.runs import RESOLVED_FILE, Run, find_runs, load_run
 
 UNUSED_OBJECTS: dict[str, Any] = {
@@ -29,11 +30,7 @@ class Agent:
     """
     Trained agent and its origin.
 
-    :param model: The model
-    :param path: File of the model
     :param label: Baseline, algorithm or name of the file
-    :param env_id: Id of the environment
-    :param env_kwargs: Parameters of the environment
     :param run: Run of the agent; None for a published agent or a file without a run
     """
 
@@ -56,13 +53,9 @@ class AgentQuery:
     Description of an agent to load: a path, or the newest run with some properties.
 
     :param path: Run folder, or a model file that ``save()`` wrote
-    :param env: Id of the environment
-    :param baseline: Baseline
     :param algo: Algorithm, or the baseline of this name
-    :param preset: Preset
     :param log_folder: Folder of all runs
     :param load_best: Whether to load the best model instead of the last one
-    :param device: PyTorch device
     :param published: Task or folder of a published agent
     :param gym_packages: Packages that register environments
     """
@@ -79,6 +72,12 @@ class AgentQuery:
     gym_packages: Sequence[str] = ()
 
 
+def query_of(args: argparse.Namespace) -> AgentQuery:
+    """Return the query that the flags of an agent describe."""
+    names = [item.name for item in fields(AgentQuery) if hasattr(args, item.name)]
+    return AgentQuery(**{name: getattr(args, name) for name in names})
+
+
 def find_agent(query: AgentQuery) -> Agent:
     """Find and load the agent that a query describes; raise ``CommandError`` if there is none."""
     check_device(query.device)
@@ -86,15 +85,24 @@ def find_agent(query: AgentQuery) -> Agent:
     if query.published is not None:
         return _published_agent(query)
     if query.path is not None and query.path.suffix == ".zip":
+        _check_unused(query, "a model file", "baseline", "preset")
         return _agent_of_file(query.path, query)
     return agent_of(find_run(query), query.load_best, query.device)
 
 
 def find_run(query: AgentQuery) -> Run:
     """Find the run that a query describes and register its environment."""
+    if query.path is not None:
+        _check_unused(query, "a run folder", "env", "baseline", "algo", "preset")
     run = load_run(query.path) if query.path is not None else _newest_run(query)
     register_run(run)
     return run
+
+
+def _check_unused(query: AgentQuery, source: str, *names: str) -> None:
+    """Raise ``CommandError`` if a query has properties that cannot select an agent of its source."""
+    if given := [f"--{name}" for name in names if getattr(query, name) is not None]:
+        raise CommandError(f"{', '.join(given)} cannot be combined with {source}")
 
 
 def register_run(run: Run) -> None:
@@ -119,7 +127,8 @@ def _newest_run(query: AgentQuery) -> Run:
         and query.preset in (None, run.experiment.preset)
     ]
     if not runs:
-        raise CommandError(f"no run of {query.baseline or query.algo} on {env_id} in {query.log_folder}")
+        wanted = " ".join(filter(None, [query.baseline or query.algo, query.preset]))
+        raise CommandError(f"no run of {wanted} on {env_id} in {query.log_folder}")
     return next((run for run in reversed(runs) if run.has_model), runs[-1])
 
 
@@ -157,7 +166,7 @@ def algorithm_of(path: Path) -> str:
         assert data is not None, "it contains no data"
     policy = data.get("policy_class")
     scores = {
-        name: sum(1 if key in data else -1 for key in constructor_keys(algorithm))
+        name: sum(1 if key in data else -1 for key in constructor_arguments(algorithm))
         for name, algorithm in algorithm_classes().items()
         if policy in algorithm.policy_aliases.values()
     }
@@ -176,7 +185,7 @@ def load_model(
     if not path.is_file():
         raise CommandError(f"{path} does not exist")
     # Our replay buffers allocate no memory before the first transition.
-    has_buffer = algo not in ALGORITHMS and "buffer_size" in constructor_keys(algorithms[algo])
+    has_buffer = algo not in ALGORITHMS and "buffer_size" in constructor_arguments(algorithms[algo])
     buffer = {"buffer_size": 1} if has_buffer else {}
     with refused(f"{path} is damaged or from another version"):
         model: BaseAlgorithm = algorithms[algo].load(
@@ -186,15 +195,16 @@ def load_model(
 
 
 def _published_agent(query: AgentQuery) -> Agent:
-    if query.path is not None or query.env is not None:
-        raise CommandError("--published names an agent: pass neither a path nor --env")
-    found = find_published(str(query.published), query.baseline)
-    register_environments(found.card.gym_packages)
-    known_env_id(found.card.env)
-    model = load_published(found, query.device)
-    return Agent(model, found.model_file, found.card.label, found.card.env, dict(found.card.env_kwargs))
+    if query.path is not None:
+        raise CommandError("--published names an agent: pass no path")
+    _check_unused(query, "--published", "env", "algo", "preset")
+    card = find_published(str(query.published), query.baseline)
+    register_environments(card.gym_packages)
+    known_env_id(card.env)
+    model = load_published(card, query.device)
+    return Agent(model, card.model_file, card.label, card.env, dict(card.env_kwargs))
 
 
-def load_published(found: Published, device: str = "auto") -> BaseAlgorithm:
-    """Load a published agent."""
-    return load_model(found.model_file, found.card.algo, device, objects={})
+def load_published(card: Card, device: str = "auto") -> BaseAlgorithm:
+    """Load a published agent from its card."""
+    return load_model(card.model_file, card.algo, device, objects={})

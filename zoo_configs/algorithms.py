@@ -1,7 +1,6 @@
 """Algorithms by name: ours, Stable-Baselines3's and sb3-contrib's."""
 
 import functools
-import inspect
 import pkgutil
 from collections.abc import Mapping
 from typing import Any
@@ -38,16 +37,6 @@ def class_from_path(path: str) -> type[Any]:
     found = pkgutil.resolve_name(path)
     if not isinstance(found, type):
         raise ImportError(f"{path} is not a class")
-    return found
-
-
-@functools.cache
-def constructor_arguments(cls: Any) -> Mapping[str, inspect.Parameter]:
-    """Return the arguments of a constructor and of those of its parents, by name."""
-    found: dict[str, inspect.Parameter] = {}
-    for parent in reversed(cls.__mro__[:-1]):
-        if "__init__" in vars(parent):
-            found.update(inspect.signature(vars(parent)["__init__"]).parameters)
     return found
 
 

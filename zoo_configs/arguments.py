@@ -1,22 +1,16 @@
 """Flags that several commands share."""
 
-from __future__ import annotations
-
 import argparse
 import math
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 import yaml
 
 from zoo_configs.errors import CommandError, reason
 from zoo_configs.files import format_yaml, parse_yaml
-
-if TYPE_CHECKING:
-    from zoo_configs.agents import AgentQuery
 
 MAX_SEED = 2**31 - 1
 
@@ -86,6 +80,14 @@ def whole_number(least: int, most: float = math.inf) -> Callable[[str], int]:
     return integer
 
 
+def positive_number(text: str) -> float:
+    """Parse a finite number greater than 0."""
+    value = float(text)
+    if not 0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"must be greater than 0, got {text!r}")
+    return value
+
+
 positive_int = whole_number(1)
 seed = whole_number(0, MAX_SEED)
 
@@ -140,11 +142,3 @@ def add_agent_flags(parser: argparse.ArgumentParser, is_run: bool = False) -> No
     add_packages(parser)
     add_env_kwargs(parser)
     add_progress(parser)
-
-
-def query_of(args: argparse.Namespace) -> AgentQuery:
-    """Return the query that the flags of :func:`add_agent_flags` describe."""
-    from zoo_configs.agents import AgentQuery
-
-    names = [item.name for item in fields(AgentQuery) if hasattr(args, item.name)]
-    return AgentQuery(**{name: getattr(args, name) for name in names})

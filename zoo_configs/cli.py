@@ -1,5 +1,6 @@
 """The command line ``bulletarm-zoo``: runs a command and prints its errors in one line."""
 
+import contextlib
 import importlib
 import os
 import select
@@ -61,26 +62,23 @@ def _run(name: str, arguments: Sequence[str]) -> None:
     elif name in COMMANDS:
         if missing := [module for module in REQUIRED if find_spec(module) is None]:
             raise CommandError(f"{', '.join(missing)} not installed: pip install 'bulletarm-gym[zoo]'")
-        importlib.import_module(f"zoo_configs.commands.{name}").main(arguments)
+        args = getattr(importlib.import_module("zoo_configs.parsers"), f"parse_{name}")(arguments)
+        importlib.import_module(f"zoo_configs.commands.{name}").main(args)
     else:
         raise unknown_name("command", name, COMMANDS)
 
 
-def _is_unread(error: Exception) -> bool:
+def _is_unread() -> bool:
     """Return True if the reader of the output, such as ``head``, has gone."""
-    if not isinstance(error, BrokenPipeError):
-        return False
     poll = select.poll()
-    try:
+    with contextlib.suppress(OSError):  # not a file
         poll.register(sys.stdout, select.POLLOUT)
-    except OSError:  # not a file
-        return False
     return any(event & select.POLLERR for _, event in poll.poll(0))
 
 
 def _report(name: str, error: Exception) -> int:
     """Print an error in one line and return the exit code."""
-    if _is_unread(error):
+    if isinstance(error, BrokenPipeError) and _is_unread():
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for the remaining output
         return 141  # 128 + SIGPIPE
     if isinstance(error, CommandError) or (isinstance(error, OSError) and error.errno is not None):

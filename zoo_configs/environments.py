@@ -1,21 +1,22 @@
-"""Environment ids: the packages that register them, and their lookup by name."""
+"""Environments by their ids, the packages that register them, and the seeds of their scenes."""
 
 import importlib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager
+from enum import IntEnum
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
 
 from zoo_configs.errors import CommandError, reason, refused, unknown_name
 
-ENV_PACKAGES = ("bulletarm_gym",)
 NAMESPACE = "BulletArm/"
 
 
 def register_environments(packages: Iterable[str] = ()) -> None:
     """Import our package and others that register environments; raise ``CommandError`` on failure."""
-    for package in (*ENV_PACKAGES, *packages):
+    for package in ("bulletarm_gym", *packages):
         with refused(f"package {package!r} cannot be imported"):
             importlib.import_module(package)
 
@@ -26,11 +27,7 @@ def our_env_ids() -> list[str]:
 
 
 def known_env_id(env_id: str) -> str:
-    """
-    Return an id, also after ``"package:"``, as it is in Gymnasium's registry.
-
-    :raises CommandError: if it is not registered, with the nearest id
-    """
+    """Return a registered id, also after ``"package:"``; raise ``CommandError`` if it is unknown."""
     register_environments(package_of(env_id))
     name = env_id.rpartition(":")[2]
     if name not in gym.registry:
@@ -65,11 +62,7 @@ def try_env(env_id: str, env_kwargs: Mapping[str, Any]) -> None:
 
 
 def load_expert_data(hyperparams: Mapping[str, Any]) -> dict[str, Any]:
-    """
-    Return hyperparameters in which episodes replace the path of a file of demonstrations.
-
-    :raises CommandError: if the file cannot be read
-    """
+    """Return hyperparameters with the episodes of a file for its path; raise ``CommandError`` on failure."""
     path = hyperparams.get("expert_data")
     if not isinstance(path, str):
         return dict(hyperparams)
@@ -79,3 +72,18 @@ def load_expert_data(hyperparams: Mapping[str, Any]) -> dict[str, Any]:
         return {**hyperparams, "expert_data": load(path)}
     except Exception as error:  # a damaged file can raise any error
         raise CommandError(f"expert_data: {path} cannot be read: {reason(error)}") from error
+
+
+class SeedStream(IntEnum):
+    """Purpose of an independent stream of seeds. Training itself uses the run's seed."""
+
+    EVALUATION = 1
+    TEST = 2
+    PRETRAINING = 3
+    SAMPLER = 4
+
+
+def stream_seed(seed: int, stream: SeedStream, index: int = 0) -> int:
+    """Return the seed below 2**31 at an index of a stream, for example the time step of an evaluation."""
+    state = np.random.SeedSequence((seed, stream, index)).generate_state(1)
+    return int(state[0]) % 2**31

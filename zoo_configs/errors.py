@@ -53,18 +53,16 @@ def reason_and_place(error: BaseException) -> str:
     return f"{message} ({last.filename}, line {last.lineno})"
 
 
-def unknown_name(kind: str, got: str, valid: Iterable[str], see: str = "") -> CommandError:
+def unknown_name(kind: str, got: object, valid: Iterable[str], see: str = "") -> CommandError:
     """
     Return the error for an unknown name, with the nearest valid name regardless of case, namespace, version.
 
     :param kind: Kind of the name, for example ``"baseline"``
-    :param got: The unknown name
-    :param valid: The valid names
     :param see: Where the valid names are listed, if there are too many for one line
     """
     names = sorted(valid)
     bare = {_bare(name): name for name in names}
-    if nearest := difflib.get_close_matches(_bare(got), bare, n=1, cutoff=SIMILAR):
+    if nearest := difflib.get_close_matches(_bare(str(got)), bare, n=1, cutoff=SIMILAR):
         return CommandError(f"unknown {kind} {got!r}, did you mean {bare[nearest[0]]!r}?")
     choices = f"choose from {', '.join(names) or 'nothing: none exists'}"
     return CommandError(f"unknown {kind} {got!r}, {see or choices}")

@@ -1,20 +1,20 @@
 """Evaluation of agents on scenes that they were not trained on."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
-from zoo_configs.environments import try_env
+from scipy.stats import binomtest
+from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.utils import check_for_correct_spaces
+from stable_baselines3.common.vec_env import VecEnv
+from tqdm import tqdm
+
+from zoo_configs.agents import Agent
+from zoo_configs.environments import SeedStream, stream_seed, try_env
 from zoo_configs.errors import CommandError, refused
-from zoo_configs.training.seeds import SeedStream, stream_seed
-
-if TYPE_CHECKING:
-    from stable_baselines3.common.vec_env import VecEnv
-
-    from zoo_configs.agents import Agent
+from zoo_configs.training.objects import build_vec_env
 
 
 @dataclass(frozen=True)
@@ -22,11 +22,8 @@ class EvalOptions:
     """
     Options of an evaluation.
 
-    :param episodes: Number of episodes
     :param seed: Seed of the test scenes
     :param n_envs: Number of environments; more than one run in processes
-    :param env_kwargs: Changed parameters of the environment
-    :param progress: Whether to show a progress bar
     """
 
     episodes: int = 50
@@ -43,28 +40,19 @@ class Outcome(NamedTuple):
     returns: list[float]
 
     @property
-    def episodes(self) -> int:
-        """Number of episodes."""
-        return len(self.successes)
-
-    @property
     def success_rate(self) -> float:
         """Fraction of successful episodes in [0, 1]; 0 without episodes."""
-        return sum(self.successes) / max(self.episodes, 1)
+        return sum(self.successes) / max(len(self.successes), 1)
 
     @property
     def interval(self) -> tuple[float, float]:
         """Wilson's 95 % interval of the success rate of this agent."""
-        from scipy.stats import binomtest
-
-        low, high = binomtest(sum(self.successes), self.episodes).proportion_ci(method="wilson")
+        low, high = binomtest(sum(self.successes), len(self.successes)).proportion_ci(method="wilson")
         return float(low), float(high)
 
 
 def build_test_env(agent: Agent, options: EvalOptions) -> VecEnv:
     """Build the environments of an agent as in its training; raise ``CommandError`` on failure."""
-    from zoo_configs.training.objects import build_vec_env
-
     env_kwargs = {**agent.env_kwargs, **options.env_kwargs}
     try_env(agent.env_id, env_kwargs)
     statistics = None if agent.run is None else agent.run.statistics_file
@@ -83,14 +71,7 @@ def build_test_env(agent: Agent, options: EvalOptions) -> VecEnv:
 
 
 def evaluate_agent(agent: Agent, options: EvalOptions) -> Outcome:
-    """
-    Evaluate an agent with its deterministic policy in its own environment.
-
-    :raises CommandError: if the environment cannot be built, or does not fit the agent
-    """
-    from stable_baselines3.common.evaluation import evaluate_policy
-    from tqdm import tqdm
-
+    """Evaluate an agent's deterministic policy; raise ``CommandError`` if its environment does not fit it."""
     outcome = Outcome([], [])
     with (
         closing(build_test_env(agent, options)) as env,
@@ -111,8 +92,6 @@ def evaluate_agent(agent: Agent, options: EvalOptions) -> Outcome:
 
 def check_fits(env: Any, agent: Agent) -> None:
     """Raise ``CommandError`` if an environment or a vector environment has other spaces than an agent."""
-    from stable_baselines3.common.utils import check_for_correct_spaces
-
     with refused("the agent cannot act here", ValueError):
         check_for_correct_spaces(env, agent.model.observation_space, agent.model.action_space)
 

@@ -17,12 +17,7 @@ from zoo_configs.errors import CommandError, refused
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """
-    Provide a temporary file that replaces ``path`` if the block succeeds, and is removed otherwise.
-
-    :param path: The file to write; its folder is created
-    :return: Context manager of the temporary file, which has the same suffix
-    """
+    """Provide a temporary file, with the same suffix, that replaces ``path`` if the block succeeds."""
     partial = path.with_name(f".{path.stem}-{uuid.uuid4().hex}{path.suffix}")
     with made_folder(path.parent):
         try:

@@ -42,12 +42,7 @@ def describe_hardware(device: str = "cpu") -> str:
 
 @functools.cache
 def commit() -> str:
-    """
-    Return the commit of the running code. The first call determines the result for the process.
-
-    :return: Abbreviated commit of the checkout, with ``-dirty`` if tracked files were changed; outside a
-        checkout the version of the package
-    """
+    """Return the abbreviated commit of the code, ``-dirty`` after changes, or the version of the package."""
     words = ("describe", "--always", "--abbrev=7", "--dirty", "--exclude=*")
     if _git("ls-files", "--error-unmatch", HERE.name) is not None and (found := _git(*words)):
         return found

@@ -9,12 +9,13 @@ from typing import Any, NamedTuple
 import gymnasium as gym
 from tqdm import trange
 
+from sb3_extensions.spatial_dqn.policies import SpatialPolicy
 from zoo_configs.agents import Agent
 from zoo_configs.drawing.video import FRAMES_PER_SECOND, Frame, ValueMap, compose_frame, observed_images
-from zoo_configs.environments import known_env_id, make_env, tried_env
+from zoo_configs.environments import SeedStream, known_env_id, make_env, stream_seed, tried_env
 from zoo_configs.errors import CommandError, refused
 from zoo_configs.evaluating import check_fits, check_unwrapped
-from zoo_configs.training.seeds import SeedStream, stream_seed
+from zoo_configs.training.objects import wrapper
 
 RENDER_MODE = "rgb_array"
 FINAL_SECONDS = 1.0  # duration of the last frame of an episode
@@ -25,9 +26,7 @@ class Actor(NamedTuple):
     """
     Policy and environment to record.
 
-    :param name: Name in the caption
     :param env: Environment with ``render_mode="rgb_array"``
-    :param act: Function from observation to action
     :param folder: Default folder of the video
     :param evaluate_pixels: Function from observation to the values of its pixels; None for other policies
     """
@@ -67,8 +66,6 @@ def expert_actor(env_id: str, env_kwargs: Mapping[str, Any]) -> Actor:
 
 def agent_actor(agent: Agent, env_kwargs: Mapping[str, Any]) -> Actor:
     """Return an agent in its environment; raise ``CommandError`` if the environment does not fit it."""
-    from zoo_configs.training.objects import wrapper
-
     check_unwrapped(agent.hyperparams, WRAPPERS, "which record does not support")
     env = _make(agent.env_id, {**agent.env_kwargs, **env_kwargs})
     wrap = wrapper(agent.hyperparams.get("env_wrapper"))
@@ -84,8 +81,6 @@ def agent_actor(agent: Agent, env_kwargs: Mapping[str, Any]) -> Actor:
 
 def _pixel_values(policy: Any) -> Callable[[Any], ValueMap] | None:
     """Return the values that a policy over the pixels of a heightmap computes, None for other policies."""
-    from sb3_extensions.spatial_dqn.policies import SpatialPolicy
-
     if not isinstance(policy, SpatialPolicy):
         return None
     yaws = policy.codec.grids.get("theta")
@@ -98,12 +93,7 @@ def _pixel_values(policy: Any) -> Callable[[Any], ValueMap] | None:
 
 
 def record(actor: Actor, episodes: int, seed: int, progress: bool = False) -> Iterator[Frame]:
-    """
-    Play episodes in an actor's environment, which stays open, and yield their frames.
-
-    :param seed: Seed of the scenes
-    :param progress: Whether to show a progress bar
-    """
+    """Play episodes in an actor's environment, which stays open, and yield their frames."""
     first_seed, successes = stream_seed(seed, SeedStream.TEST), 0
     for episode in trange(episodes, unit="episode", disable=not progress):
         title = f"episode {episode + 1} of {episodes}"

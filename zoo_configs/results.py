@@ -51,23 +51,19 @@ class Result:
         return int(self.curve.timesteps[-1])
 
 
-@dataclass
+@dataclass(frozen=True)
 class ExperimentResults:
     """
     Runs that differ only in their seeds.
 
     :param env_id: Id of the environment
-    :param baseline: Baseline or algorithm
-    :param settings: Everything else that defines the experiment, by dotted name
-    :param results: Results by seed
     :param label: Baseline, with the settings that distinguish it from other experiments on this environment
+    :param results: Results by seed
     """
 
     env_id: str
-    baseline: str
-    settings: Mapping[str, Any]
+    label: str
     results: dict[int, Result]
-    label: str = ""
 
     @property
     def success(self) -> dict[int, float]:
@@ -83,7 +79,6 @@ def read_experiments(
 
     Of runs with the same experiment and seed, the longest one counts.
 
-    :param log_folder: Folder of all runs, or of a benchmark
     :param env_ids: Ids of environments, None for all
     :param baselines: Baselines, None for all
     :return: The experiments, sorted by environment and label
@@ -94,18 +89,16 @@ def read_experiments(
         is_wanted = env_ids is None or run.experiment.env_id in env_ids
         is_wanted &= baselines is None or run.experiment.baseline in baselines
         if is_wanted and run.evaluations_file.is_file():
-            names = run.experiment.env_id, run.experiment.label
-            groups[json.dumps([*names, settings_of(run)], default=str)].append(run)
+            groups[json.dumps(settings_of(run), default=str)].append(run)
     if not groups:
         raise CommandError(f"no evaluated run of these environments and baselines in {log_folder}")
-    found = list(map(_results_of, groups.values()))
-    for one in found:
-        alike = [other for other in found if (other.env_id, other.baseline) == (one.env_id, one.baseline)]
-        one.label = _label(one, alike)
+    settings = [settings_of(runs[0]) for runs in groups.values()]
+    pairs = zip(settings, groups.values(), strict=True)
+    found = [ExperimentResults(own["env"], _label(own, settings), _by_seed(runs)) for own, runs in pairs]
     return sorted(found, key=lambda one: (one.env_id, one.label))
 
 
-def _results_of(runs: Iterable[Run]) -> ExperimentResults:
+def _by_seed(runs: Iterable[Run]) -> dict[int, Result]:
     """Return the results of an experiment, of the longest run with each seed."""
     curves = [(run, load_curve(run.evaluations_file)) for run in runs]
     results: dict[int, Result] = {}
@@ -113,27 +106,27 @@ def _results_of(runs: Iterable[Run]) -> ExperimentResults:
         if run.seed in results:
             print(f"left out: {results[run.seed].run.folder} repeats {run.folder}", file=sys.stderr)
         results[run.seed] = Result(run, curve, origin_of(run), run.status.state is State.DONE)
-    return ExperimentResults(run.experiment.env_id, run.experiment.label, settings_of(run), results)
+    return results
 
 
 def settings_of(run: Run) -> dict[str, Any]:
-    """Return what defines the experiment of a run, except environment and seed, by dotted name."""
+    """Return what defines the experiment of a run, except its seed, by dotted name."""
     experiment = run.experiment
-    axes = {"algo": experiment.algo, "preset": experiment.preset, "benchmark": experiment.benchmark}
-    options = {"trained_agent": run.options.trained_agent, "n_timesteps": run.n_timesteps}
+    axes = {name: getattr(experiment, name) for name in ("algo", *AXES)}
     values = {name.removeprefix("env_kwargs."): value for name, value in leaves(experiment.hyperparams)}
-    return {**axes, **values, **options}
+    options = {"trained_agent": run.options.trained_agent, "n_timesteps": run.n_timesteps}
+    return {**axes, **values, **options, "env": experiment.env_id, "baseline": experiment.label}
 
 
-def _label(own: ExperimentResults, others: Iterable[ExperimentResults]) -> str:
-    """Return the baseline with the settings that differ from others, first the settings in ``AXES``."""
-    alike = [other.settings for other in others]
+def _label(own: Mapping[str, Any], others: Iterable[Mapping[str, Any]]) -> str:
+    """Return the baseline with the settings that differ from its others, first the settings in ``AXES``."""
+    alike = [one for one in others if (one["env"], one["baseline"]) == (own["env"], own["baseline"])]
     named: list[str] = []
     for names in (AXES, sorted({name for one in alike for name in one})):
-        alike = [one for one in alike if all(one[name] == own.settings[name] for name in named)]
-        differing = [name for name in names if any(one.get(name) != own.settings.get(name) for one in alike)]
+        alike = [one for one in alike if all(one[name] == own[name] for name in named)]
+        differing = [name for name in names if any(one.get(name) != own.get(name) for one in alike)]
         named += [name for name in differing if name not in named]
-    return ", ".join([own.baseline, *(f"{name}={own.settings.get(name)}" for name in named)])
+    return ", ".join([own["baseline"], *(f"{name}={own.get(name)}" for name in named)])
 
 
 def interquartile_mean(values: Sequence[float]) -> float:
@@ -149,7 +142,7 @@ def experiment_row(experiment: ExperimentResults) -> list[str]:
         task_name(experiment.env_id),
         experiment.label,
         f"{np.mean(list(success.values())):.2f}",
-        _by_seed(success),
+        _listed(success),
         f"{sum(result.is_done for result in results)} of {len(results)}",
         str(max(result.steps for result in results)),
         f"{np.mean(minutes):.1f}" if minutes else "",
@@ -166,21 +159,17 @@ def baseline_rows(experiments: Iterable[ExperimentResults]) -> list[list[str]]:
         values = [value for task in tasks for value in task.values()]
         seeds = sorted({seed for task in tasks for seed in task})
         by_seed = {seed: interquartile_mean([task[seed] for task in tasks if seed in task]) for seed in seeds}
-        means = f"{interquartile_mean(values):.2f}", _by_seed(by_seed), f"{np.mean(values):.2f}"
+        means = f"{interquartile_mean(values):.2f}", _listed(by_seed), f"{np.mean(values):.2f}"
         rows.append([label, *means, str(len(tasks)), str(len(values))])
     return rows
 
 
-def _by_seed(values: Mapping[int, float]) -> str:
+def _listed(values: Mapping[int, float]) -> str:
     return ", ".join(f"{seed}: {value:.2f}" for seed, value in values.items())
 
 
 def write_tables(experiments: Sequence[ExperimentResults], picture: Path) -> list[Path]:
-    """
-    Write the results next to a figure, with the same name.
-
-    :return: A Markdown file with figure, tables, commands and machines, and a CSV file with one row a run
-    """
+    """Write a Markdown page with figure, tables and commands, and a CSV of the runs, next to a figure."""
     page, table = picture.with_suffix(".md"), picture.with_suffix(".csv")
     results = [(one.env_id, one.label, result) for one in experiments for result in one.results.values()]
     parts = [

@@ -14,17 +14,18 @@ GRID = "codec_kwargs"
 """Argument of policies with a grid of actions: arguments of a SpatialActionCodec."""
 
 
-def constructor_keys(cls: type[Any]) -> set[str]:
-    """Return the keyword arguments of a constructor, and of its parent if it has ``**kwargs``."""
-    keys: set[str] = set()
+def constructor_arguments(cls: type[Any]) -> dict[str, inspect.Parameter]:
+    """Return the keyword arguments of a constructor by name, and of its parent if it has ``**kwargs``."""
+    found: dict[str, inspect.Parameter] = {}
     for parent in cls.__mro__:
         if "__init__" not in vars(parent):
             continue
         parameters = list(inspect.signature(vars(parent)["__init__"]).parameters.values())[1:]
-        keys |= {p.name for p in parameters if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)}
+        own = {p.name: p for p in parameters if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)}
+        found = {**own, **found}
         if all(p.kind is not p.VAR_KEYWORD for p in parameters):
             break
-    return keys
+    return found
 
 
 def env_attribute(env: VecEnv | None, name: str) -> Any:
@@ -50,7 +51,7 @@ def with_action_metadata(
 
     :raises ValueError: if the policy rotates actions with the scene, but the actions have an absolute yaw
     """
-    keys, passed = constructor_keys(policy_class), dict(kwargs or {})
+    keys, passed = constructor_arguments(policy_class), dict(kwargs or {})
     attribute = env_attribute(env, RANGES)
     ranges: Mapping[str, Any] = attribute if isinstance(attribute, Mapping) else {}
     # The theta of an open-loop action is a yaw in the world, which changes when the scene is rotated. The r

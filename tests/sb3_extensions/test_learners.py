@@ -11,7 +11,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecNormalize
 
 import bulletarm_gym  # noqa: F401 (registers the environments)
-from sb3_extensions.common.env_metadata import constructor_keys
+from sb3_extensions.common.env_metadata import constructor_arguments
 from sb3_extensions.encoders.extractors import CnnExtractor
 from sb3_extensions.ferm import FERM
 from sb3_extensions.replay.rotation import Rotation
@@ -61,7 +61,7 @@ def test_learns_to_reach(learner, policy, kwargs, make_toy, make_learner):
 
 @pytest.mark.parametrize("learner", [FERM, TQCfD])
 def test_learners_accept_the_arguments_of_sacfd_only(learner, make_learner):
-    assert constructor_keys(learner) >= PARAMETERS.keys()
+    assert constructor_arguments(learner).keys() >= PARAMETERS.keys()
     model = make_learner(None, learner, gamma=0.5, bc_limit=0.5, augmentation={"rad": {"size": 12}})
     assert (model.gamma, model.bc_limit) == (0.5, 0.5)
     with pytest.raises(TypeError, match="gama"):

@@ -10,7 +10,6 @@ from toy_env import TOY_ID, ToyEnv
 
 from zoo_configs.cli import main
 
-RUN_NAME = "BulletArm-CloseLoopToy-v0_1"
 # A run of two seconds. Further parameters can follow, because a repeated flag replaces values.
 TINY = (
     *("-n", "12", "--eval-freq", "6", "--eval-episodes", "2", "--save-freq", "6"),
@@ -57,7 +56,7 @@ def trained(train_tiny, tmp_path_factory):
 @pytest.fixture(scope="session")
 def run_folder(trained):
     """That run, not to be changed."""
-    return trained / "sacfd" / RUN_NAME
+    return trained / "sacfd" / sweeps.RUN_NAME
 
 
 @pytest.fixture

@@ -28,6 +28,7 @@ ALL = [
     if family.has_experiment(baseline, env_id)
 ]
 """Baseline, preset and environment id of each experiment."""
+RUN_NAME = "BulletArm-CloseLoopToy-v0_1"
 HERE = Path(__file__).parent
 ROOT = HERE.parent.parent
 # Where processes find the toys as a package of a user's.
@@ -43,11 +44,16 @@ TINY = {
         "env_kwargs": {"obs_size": 48},
     },
 }
+# The same as flags, after others of the same name.
+TUNED = (
+    *("--env-kwargs", "obs_size:48", "-params", "expert_episodes:2", "pretrain_steps:2", "batch_size:4"),
+    *("buffer_size:100", "n_envs:1"),
+)
 FLAGS = ("--gym-packages", "toy_tasks", "--device", "cpu", "--no-progress")
 
 
-def jobs_of(**keys):
-    return build_jobs(parse_plan("tiny.yml", {**TINY, **keys}), ["toy_tasks"], "cpu")
+def jobs_of(folder, **keys):
+    return build_jobs(parse_plan("tiny.yml", {**TINY, **keys}), folder, ["toy_tasks"], "cpu")
 
 
 def weights(folder):
@@ -62,9 +68,9 @@ def same(left, right):
     return evaluated and all(bool((ours[key] == theirs[key]).all()) for key in ours)
 
 
-def trials_of(folder, study):
-    storage = JournalStorage(JournalFileBackend(str(folder / "studies" / study / "journal.log")))
-    return optuna.load_study(study_name=study, storage=storage).trials
+def study_of(folder, name):
+    storage = JournalStorage(JournalFileBackend(str(folder / "studies" / name / "journal.log")))
+    return optuna.load_study(study_name=name, storage=storage)
 
 
 def wait_for(condition, seconds=120):
@@ -87,5 +93,4 @@ def start(folder, plan, *flags):
 
 
 def is_running(folder):
-    how = run_status(folder)
-    return how is not None and how.state is State.RUNNING
+    return run_status(folder).state is State.RUNNING

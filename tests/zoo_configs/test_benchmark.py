@@ -7,6 +7,7 @@ import socket
 import threading
 import time
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -24,9 +25,9 @@ from zoo_configs.errors import CommandError
 from zoo_configs.provenance import versions
 from zoo_configs.training.runs import find_runs, write_resolved
 from zoo_configs.training.state import State, run_lock, run_status, set_status
-from zoo_configs.training.train import train_experiment
+from zoo_configs.training.train import train_run
 
-PICKING = "BulletArm/CloseLoopBlockPicking-v0"
+PICKING, HERE = "BulletArm/CloseLoopBlockPicking-v0", Path()
 EXAMPLES = sorted((sweeps.ROOT / "examples" / "benchmarks").glob("*.yml"))
 pytestmark = pytest.mark.usefixtures("toys")
 
@@ -34,13 +35,13 @@ pytestmark = pytest.mark.usefixtures("toys")
 def test_files_of_the_examples_are_plans():
     for path in EXAMPLES:
         plan = read_plan(str(path))
-        assert {job.experiment.label for job in build_jobs(plan)} == set(plan.baselines), path
+        assert {job.experiment.label for job in build_jobs(plan, path)} == set(plan.baselines), path
 
 
 def test_the_benchmarks_of_the_paper_have_its_baselines():
     plan = read_plan("close_loop_4d")
     assert (len(plan.tasks), len(plan.baselines), plan.seeds) == (10, 11, 4)
-    jobs = build_jobs(plan)
+    jobs = build_jobs(plan, HERE)
     assert len(jobs) == 10 * 11 * 4 and "equi_tqc" not in plan.baselines
     assert {job.experiment.benchmark for job in jobs} == {"close_loop_4d"}
     assert str(jobs[0].folder) == "CloseLoopBlockReaching/sac/seed_0"
@@ -50,29 +51,30 @@ def test_the_benchmarks_of_the_paper_have_its_baselines():
 
 def test_a_plan_names_tasks_and_baselines_by_patterns():
     plan = Plan([PICKING, "CloseLoopBlockReaching", "CloseLoop*Pu[ls]*"], ["*equi_sacfd", "sac"], seeds=[3])
-    assert {str(job.folder) for job in build_jobs(plan)} == {
+    assert {str(job.folder) for job in build_jobs(plan, HERE)} == {
         f"CloseLoopBlock{task}/{baseline}/seed_3"
         for task in ("Picking", "Reaching", "Pushing", "Pulling")
         for baseline in ("equi_sacfd", "sac")
     }
     plan = Plan(["OpenLoopBlockStacking", "OpenLoopRampBlockStacking"], ["sdqfd_*cnn_asr*"], seeds=1)
-    rows = [str(job.folder.parent) for job in build_jobs(plan)]
+    rows = [str(job.folder.parent) for job in build_jobs(plan, HERE)]
     assert rows == ["OpenLoopBlockStacking/sdqfd_cnn_asr", "OpenLoopRampBlockStacking/sdqfd_cnn_asr_6d"]
     plan = replace(read_plan("close_loop_4d"), tasks=["CloseLoopBlock*"], baselines=["sacfd"], seeds=1)
     known = {row.env_id for row in BENCHMARKS["close_loop_4d"].environments if "LoopBlock" in row.env_id}
-    assert {job.experiment.env_id for job in build_jobs(plan)} == known
+    assert {job.experiment.env_id for job in build_jobs(plan, HERE)} == known
 
 
 def test_each_baseline_has_one_run_a_variant():
     variants = {"whole": {}, "one_step": {"n_steps": 1}}
-    jobs = build_jobs(Plan([PICKING], ["sacfd"], "cpu", 1, hyperparams={"gamma": 0.5}, variants=variants))
+    plan = Plan([PICKING], ["sacfd"], "cpu", 1, hyperparams={"gamma": 0.5}, variants=variants)
+    jobs = build_jobs(plan, HERE)
     found = [(job.folder.parent.name, job.experiment.hyperparams) for job in jobs]
     returns = [(name, hyperparams["n_steps"], hyperparams["gamma"]) for name, hyperparams in found]
     assert returns == [("sacfd-whole", 10, 0.5), ("sacfd-one_step", 1, 0.5)]
 
 
 def test_runs_that_start_together_do_not_share_demonstrations():
-    jobs = jobs_of(baselines=["sacfd", "sac"], tasks=["CloseLoopToy", "CloseLoopToySlow"])
+    jobs = jobs_of(HERE, baselines=["sacfd", "sac"], tasks=["CloseLoopToy", "CloseLoopToySlow"])
     keys = [(job.experiment.env_id, job.seed) for job in jobs]
     assert len(set(keys[:4])) == len(set(keys[4:])) == 4
 
@@ -83,15 +85,14 @@ def test_a_dry_run_lists_sizes_and_writes_nothing(bench, tmp_path, capsys):
         lines = capsys.readouterr().out.splitlines()
         assert lines[1].split()[:4] == ["CloseLoopToy/sac", "0", "7", "1.0"]
         assert lines[3].startswith("2 experiments, 4 runs") and not (tmp_path / "out").exists()
-    jobs = build_jobs(Plan(["CloseLoopBlockPulling"], ["sacfd"], seeds=1))
-    size = size_of(jobs[0])
+    [job] = build_jobs(Plan(["CloseLoopBlockPulling"], ["sacfd"], seeds=1), HERE)
+    size = size_of(job)
     assert 0.12 < size.memory - 1.0 < 0.13  # 30,000 heightmaps of 64 x 64 bytes
     assert size.disk == 0.0 or size.disk == pytest.approx(3 * (size.memory - 1.0))
 
 
 def test_a_folder_that_is_locked_or_has_other_runs_is_refused(bench, tmp_path, capsys):
-    [job] = jobs_of(seeds=1)
-    write_resolved(replace(job, folder=tmp_path / "out" / job.folder))
+    write_resolved(*jobs_of(tmp_path / "out", seeds=1))
     assert bench(hyperparams={**TINY["hyperparams"], "gamma": 0.5}) == 2
     assert "hyperparams" in capsys.readouterr().err
     with run_lock(tmp_path / "out"):
@@ -100,8 +101,8 @@ def test_a_folder_that_is_locked_or_has_other_runs_is_refused(bench, tmp_path, c
 
 
 def test_the_overview_is_read_from_the_folders(tmp_path, capsys):
-    jobs = jobs_of(seeds=3)
-    running, failed, _ = (tmp_path / job.folder for job in jobs)
+    jobs = jobs_of(tmp_path, seeds=3)
+    running, failed, _ = (job.folder for job in jobs)
     set_status(failed, State.FAILED, "the block is lost")
     running.mkdir()
     overview = Overview(jobs, tmp_path)
@@ -119,16 +120,16 @@ def test_the_overview_is_read_from_the_folders(tmp_path, capsys):
 
 def test_a_run_has_one_process_at_a_time(tmp_path):
     with run_lock(tmp_path):
-        assert state_of(tmp_path) is State.RUNNING
+        assert run_status(tmp_path).state is State.RUNNING
         with pytest.raises(CommandError, match="process"), run_lock(tmp_path):
             pass
-    assert state_of(tmp_path) is State.DONE
+    assert run_status(tmp_path).state is State.DONE
     with pytest.raises(RuntimeError), run_lock(tmp_path):
         try:
             raise KeyboardInterrupt
         finally:
             raise RuntimeError("unexpected pos 64 vs 0")  # as from torch.save during Ctrl-C
-    assert state_of(tmp_path) is State.KILLED
+    assert run_status(tmp_path).state is State.KILLED
     (tmp_path / "state.yml").write_text("state: dancing")
     with pytest.raises(CommandError, match=r"state\.yml"):
         run_status(tmp_path)
@@ -144,11 +145,6 @@ def test_the_time_of_a_killed_process_counts_up_to_the_checkpoint(tmp_path):
     (tmp_path / "state.yml").write_text(yaml.safe_dump({**how._asdict(), "state": how.state.value}))
     with run_lock(tmp_path, checkpoint):
         assert run_status(tmp_path).seconds == pytest.approx(105.0)
-
-
-def state_of(folder):
-    status = run_status(folder)
-    return None if status is None else status.state
 
 
 def test_runs_that_fail_do_not_stop_the_others(bench, tmp_path, capsys):
@@ -174,7 +170,8 @@ def test_runs_that_fail_do_not_stop_the_others(bench, tmp_path, capsys):
 def test_a_full_disk_ends_the_benchmark_and_no_run(bench, tmp_path, capsys):
     assert bench("-j", "1", tasks=["CloseLoopToyFull"]) == 2
     assert str(tmp_path / "out") in capsys.readouterr().err.splitlines()[-1]
-    overview = Overview(jobs_of(tasks=["CloseLoopToyFull"]), tmp_path / "out")
+    out = tmp_path / "out"
+    overview = Overview(jobs_of(out, tasks=["CloseLoopToyFull"]), out)
     overview.update()
     assert overview.counts() == "0 done, 0 running, 2 waiting, 0 failed"
 
@@ -199,13 +196,10 @@ def test_a_killed_benchmark_loses_nothing(seed, kills, how, bench, tmp_path):
         assert process.wait(90) == (130 if how is signal.SIGINT else -how)
         wait_for(lambda: not any(is_running(folder) for folder in out.glob("*/*/seed_*")))
     assert bench("-j", "2", **plan) == 0
-    jobs = jobs_of(**plan)
-    assert {str(run.folder.relative_to(out)) for run in find_runs(out)} == {str(job.folder) for job in jobs}
-    for job in jobs:
-        assert state_of(out / job.folder) is State.DONE
-        whole = tmp_path / "whole" / job.folder
-        train_experiment(job.experiment, job.seed, job.device, options=job.options, at=whole)
-        assert same(out / job.folder, whole)
+    jobs = jobs_of(out, **plan)
+    assert {run.folder for run in find_runs(out)} == {job.folder for job in jobs}
+    for job, whole in zip(jobs, jobs_of(tmp_path / "whole", **plan), strict=True):
+        assert job.status.state is State.DONE and same(job.folder, train_run(whole).folder)
 
 
 NODE = {"num_cpus": 1, "object_store_memory": 80 * 2**20, "memory": 4 * 10**9}
@@ -230,16 +224,16 @@ def ray_cluster():
 def test_a_machine_must_share_the_folder_and_the_versions(tmp_path, monkeypatch):
     monkeypatch.setattr(cluster, "SETTLING_SECONDS", 0.0)
     (tmp_path / "token").touch()
-    cluster.check_machine(tmp_path, "token", (), versions())
+    cluster.check_machine(tmp_path / "token", (), versions())
     for token, packages, required, text in (
         ("other", (), versions(), str(tmp_path)),
         ("token", ["frobnicate"], versions(), "frobnicate"),
         ("token", (), {**versions(), "torch": "0.1"}, "torch .*0.1"),
     ):
         with pytest.raises(CommandError, match=text):
-            cluster.check_machine(tmp_path, token, packages, required)
+            cluster.check_machine(tmp_path / token, packages, required)
     with pytest.raises(CommandError, match=socket.gethostname()):
-        cluster.train(jobs_of()[0], tmp_path, "other")
+        cluster.train(jobs_of(tmp_path)[0], tmp_path / "other")
     assert [path.name for path in tmp_path.iterdir()] == ["token"]
 
 
@@ -250,13 +244,13 @@ def test_a_run_that_is_lost_again_and_again_fails(tmp_path, monkeypatch):
 
     monkeypatch.setattr(cluster, "JobProcess", lost)
     monkeypatch.setattr(cluster, "MAX_STARTS", 3)
-    (tmp_path / "token").touch()
-    job = jobs_of()[0]
-    codes = [cluster.train(job, tmp_path, "token") for _ in range(4)]
+    (token := tmp_path / "token").touch()
+    job = jobs_of(tmp_path)[0]
+    codes = [cluster.train(job, token) for _ in range(4)]
     assert codes == [ExitCode.INTERRUPTED] * 3 + [ExitCode.FAILED]
-    assert "3 times" in run_status(tmp_path / job.folder).error  # type: ignore[union-attr]
-    (tmp_path / job.folder / "checkpoints" / "checkpoint_6").mkdir(parents=True)
-    assert cluster.train(job, tmp_path, "token") == ExitCode.INTERRUPTED  # it has progressed
+    assert "3 times" in job.status.error
+    (job.checkpoint_folder / "checkpoint_6").mkdir(parents=True)
+    assert cluster.train(job, token) == ExitCode.INTERRUPTED  # it has progressed
 
 
 def test_a_dead_address_is_reported_soon(bench, tmp_path, capsys, monkeypatch):
@@ -293,7 +287,7 @@ def test_a_killed_caller_or_node_loses_nothing(ray_cluster, bench, tmp_path, cap
     assert bench("--ray", ray_cluster.address, **plan) == 2
     killer.join()
     assert "2 done, 0 running, 0 waiting, 2 failed" in capsys.readouterr().out.splitlines()
-    assert not list(out.glob(".benchmark-*"))
-    [job] = jobs_of(**{**plan, "tasks": ["CloseLoopToySlow"], "baselines": ["sacfd"]})
-    whole = train_experiment(job.experiment, job.seed, "cpu", options=job.options, at=tmp_path / "whole")
-    assert same(out / job.folder, whole.folder)
+    assert len(list(out.glob(".benchmark-*"))) <= 1  # of the killed caller
+    plan |= {"tasks": ["CloseLoopToySlow"], "baselines": ["sacfd"]}
+    [job], [whole] = (jobs_of(folder, **plan) for folder in (out, tmp_path / "whole"))
+    assert same(job.folder, train_run(whole).folder)

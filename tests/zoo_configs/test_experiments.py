@@ -14,13 +14,13 @@ from bulletarm_gym.registry import TASKS
 from sb3_extensions.encoders.cnn import plan_stages
 from sb3_extensions.replay.sampling import PrioritizedSampler, make_sampler
 from zoo_configs.cli import main
-from zoo_configs.commands.train import build_parser
 from zoo_configs.errors import CommandError
-from zoo_configs.experiments.config import merge, resolve
-from zoo_configs.experiments.families import Case, families, parse_family
+from zoo_configs.experiments.config import explained_yaml, merge, resolve
+from zoo_configs.experiments.families import families, parse_family
 from zoo_configs.experiments.flags import find_experiment
 from zoo_configs.experiments.validation import check_experiment
 from zoo_configs.files import Dumper, parse_yaml
+from zoo_configs.parsers import parse_train
 
 GOLDEN_FILE = Path(__file__).with_name("golden_experiments.yml")
 WRITE = "WRITE_GOLDEN_EXPERIMENTS"
@@ -32,7 +32,7 @@ PICKING, STACKING = "BulletArm/CloseLoopBlockPicking-v0", "BulletArm/OpenLoopBlo
 def experiment_of(line):
     """Return the experiment that flags of ``train`` name."""
     line = line.replace("PICKING", PICKING).replace("STACKING", STACKING)
-    return find_experiment(build_parser().parse_args(line.split()))
+    return find_experiment(parse_train(line.split()))
 
 
 def hyperparams_of(*names):
@@ -175,16 +175,16 @@ def test_layers_have_a_fixed_order():
         "defaults": [values[0]],
     }
     family = parse_family("mine", yaml.safe_dump(content, sort_keys=False))
-    layers = list(family.layers(Case("cpu", "Any/Toy-v0", None, family.baselines["rad_sac"])))
+    layers = list(family.layers("rad_sac", "cpu", "Any/Toy-v0", None))
     assert [layer.values["hyperparams"]["gamma"] for layer in layers[1:]] == [
         number / 10 for number in range(9)
     ]
     assert layers[-1].source == "mine.yml, presets.cpu.tasks.Toy.networks.cnn"
-    other = list(family.layers(Case("cpu", "Any/Other-v0", None, family.baselines["sacfd"])))
+    other = list(family.layers("sacfd", "cpu", "Any/Other-v0", None))
     assert [layer.values["hyperparams"]["gamma"] for layer in other[1:]] == [0.0, 0.1, 0.4, 0.5]
     family = parse_family("mine", yaml.safe_dump({**content, "defaults": {"sets": {}}}))
     with pytest.raises(CommandError, match="'sets', did you mean 'set'"):
-        list(family.layers(Case("cpu", PICKING, None, family.baselines["sacfd"])))
+        list(family.layers("sacfd", "cpu", PICKING, None))
 
 
 def test_overrides_are_merged_last_and_shared_with_nothing():
@@ -222,6 +222,16 @@ def test_a_dry_run_prints_every_value_with_its_source(capsys):
     assert "defaults" in lines["gamma"] and "appendix" in lines["gamma"]
     assert "bulletarm_gym.benchmarks" in lines["expert_episodes"]
     assert all("command line" in lines[name] for name in ("tau", "callback", "n_timesteps"))
+
+
+def test_a_dry_run_names_the_file_of_a_value(tmp_path):
+    (file := tmp_path / "own.yml").write_text(
+        "default: {n_timesteps: 9, policy: P, env_kwargs: {g: 9.0, h: 1}}"
+    )
+    line = f"--env Pendulum-v1 --algo sac --conf-file {file} --env-kwargs h:2"
+    printed = explained_yaml(experiment_of(line), {}, {})
+    sources = {line.split(":")[0].strip(): line.partition("  # ")[2] for line in printed.splitlines()}
+    assert sources["g"] == sources["n_timesteps"] == str(file) and sources["h"] == "command line"
 
 
 @pytest.mark.parametrize(

@@ -8,18 +8,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sweeps import PATH, TINY, jobs_of, same, trials_of
+from sweeps import PATH, TINY, TUNED, jobs_of, same, study_of
 
 from zoo_configs.cli import main
 from zoo_configs.training.state import State, run_status
 from zoo_configs.training.train import train_run
+from zoo_configs.tuning.study import counted
 
 COUNTING = "CloseLoopToyCounting"
 OPTIONS = {**TINY["options"], "eval_freq": 4, "eval_episodes": 1, "save_freq": 4, "num_threads": 1}
-TUNE = ["tune", "--baseline", "sacfd", "--preset", "quick", "--env-kwargs", "obs_size:48", "-n", "6"]
+TUNE = ["tune", "--baseline", "sacfd", "--preset", "quick", *TUNED, "-n", "6", "--n-trials", "2"]
 TUNE += ["--num-threads", "1", "--eval-episodes", "1", "--n-evaluations", "2", "--n-startup-trials", "1"]
-TUNE += ["--n-trials", "2", "-params", "expert_episodes:2", "pretrain_steps:2", "batch_size:4"]
-TUNE += ["buffer_size:100", "n_envs:1", "--env", f"toy_tasks:BulletArm/{COUNTING}-v0"]
+TUNE += ["--env", f"toy_tasks:BulletArm/{COUNTING}-v0"]
 pytestmark = pytest.mark.usefixtures("toys")
 
 
@@ -30,7 +30,7 @@ def moments(highest, count):
 
 
 def train(folder):
-    [job] = jobs_of(tasks=[COUNTING], seeds=1, options=OPTIONS)
+    [job] = jobs_of(Path(), tasks=[COUNTING], seeds=1, options=OPTIONS)
     return train_run(replace(job, folder=Path(folder)))
 
 
@@ -48,14 +48,6 @@ def test_a_killed_training_loses_nothing(moment, tmp_path):
     assert same(train(tmp_path / "run").folder, train(tmp_path / "whole").folder)
 
 
-def counted(folder, study):
-    """The trials of a study that count."""
-    trials = trials_of(folder, study)
-    again = {number for trial in trials for number in trial.user_attrs.get("repeats", ())}
-    kept = [(trial.params, trial.value, trial.state.name) for trial in trials if trial.number not in again]
-    return sorted(kept, key=str)
-
-
 @pytest.mark.parametrize("moment", moments(60, 26))
 def test_a_killed_study_loses_nothing(moment, tmp_path):
     (tmp_path / "space.yml").write_text("learning_rate: {low: 0.0001, high: 0.01, log: true}")
@@ -63,5 +55,6 @@ def test_a_killed_study_loses_nothing(moment, tmp_path):
     run_dying(moment, f"from zoo_configs.cli import main; main({words!r})")
     assert main(words) == 0
     assert main([*words, "--study-name", "whole"]) == 0
-    killed, whole = (counted(tmp_path / "logs", name) for name in (f"sacfd_{COUNTING}", "whole"))
+    studies = [study_of(tmp_path / "logs", name) for name in (f"sacfd_{COUNTING}", "whole")]
+    killed, whole = ({str((t.params, t.value, t.state)) for t in counted(study)} for study in studies)
     assert killed == whole and len(whole) == 2

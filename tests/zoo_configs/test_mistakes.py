@@ -82,6 +82,8 @@ record --expert --env Pendulum-v1                                 => expert
 RECORD -o /dev/null/a.gif                                         => /dev/null
 RECORD -o a.avi                                                   => a.avi
 enjoy nowhere                                                     => nowhere
+enjoy nowhere --env TOY --preset cpu                              => --env, --preset
+enjoy none.zip --env TOY --baseline sac                           => --baseline
 enjoy none.zip --env TOY --algo sac                               => none.zip
 enjoy damaged.zip --env Pendulum-v1                               => damaged.zip
 enjoy --env TOY --baseline tqc                                    => tqc
@@ -95,6 +97,7 @@ push nowhere --folder b                                           => nowhere
 push nowhere                                                      => --organization
 push nowhere -orga a --folder b                                   => --folder
 TUNE --n-trials 0                                                 => '0'
+TUNE --eval-freq 5                                                => --n-evaluations
 TUNE --pruner halving                                             => 'halving'
 TUNE --space space.yml                                            => 'bc_weight'
 benchmark close_loop_4 --dry-run                                  => 'close_loop_4d'
@@ -114,6 +117,7 @@ PLANS: list[tuple[Any, str]] = [
     ({**TINY, "tasks": ["CloseLoopNothing*"]}, "CloseLoopNothing*"),
     ({**TINY, "baselines": ["x*"]}, "x*"),
     ({**TINY, "preset": "cpuu"}, "'cpu'"),
+    ({**TINY, "preset": 3}, "preset 3"),
     ({**TINY, "seeds": [-1]}, "seeds"),
     ({**TINY, "options": {"eval_frq": 1}}, "'eval_freq'"),
     ({**TINY, "options": 3}, "options"),

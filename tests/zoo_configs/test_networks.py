@@ -18,7 +18,7 @@ from zoo_configs.experiments.config import resolve
 register_environments()
 BLOCKS, STACKING = "BulletArm/CloseLoopBlockStacking-v0", "BulletArm/OpenLoopBlockStacking-v0"
 RAMP = "BulletArm/OpenLoopRampBlockStacking-v0"
-CLOSED_LOOP = ("sacfd", "rad_sac", "ferm_sacfd", "equi_sacfd_per_aug", "equi_tqc")
+CLOSED_LOOP = ("sacfd", "rad_sac", "ferm_sacfd", "equi_sacfd_per_aug", "equi_tqc", "sacfd_state")
 NETWORKS_3D = ("fcn", "equi_fcn", "rot_fcn", "cnn_asr", "equi_asr")
 OPEN_LOOP = [
     *((network, STACKING, "open_loop_3d") for network in NETWORKS_3D),
@@ -41,8 +41,15 @@ def real_observations(**env_kwargs):
     return {key: th.as_tensor(np.stack([entry[key] for entry in observations])) for key in observations[0]}
 
 
-def check_untrained(model, observations):
-    """Check that values lie in [0, 1], and that the actor explores all actions."""
+@pytest.mark.parametrize("baseline", CLOSED_LOOP)
+def test_an_untrained_agent_expects_nothing_and_explores(baseline):
+    """Values lie in [0, 1]. In the preset "cpu"; networks of the preset "paper" are not normalised."""
+    model = make_model(resolve(baseline, "cpu", BLOCKS), "cpu", **UNTRAINED)
+    spaces, observation = model.observation_space.spaces, "state" if baseline.endswith("_state") else "image"
+    size = {"obs_size": spaces["heightmap"].shape[-1]} if observation == "image" else {}
+    observations = real_observations(observation=observation, **size)
+    assert observations.keys() == spaces.keys()
+    model.env.close()
     actions = th.rand(len(observations["holding"]), 5, generator=th.Generator().manual_seed(0)) * 2 - 1
     with th.no_grad():
         mean, log_std, _ = model.actor.get_action_dist_params(observations)
@@ -52,20 +59,6 @@ def check_untrained(model, observations):
     assert 0.5 <= log_std.exp().min() and log_std.exp().max() <= 2
     first = {key: value[0].numpy() for key, value in observations.items()}
     assert model.predict(first, deterministic=True)[0].shape == model.action_space.shape
-
-
-@pytest.mark.parametrize("baseline", CLOSED_LOOP)
-def test_an_untrained_agent_expects_nothing_and_explores(baseline, toy_id):
-    """In the preset "cpu"; networks of the preset "paper" are not normalised."""
-    model = make_model(resolve(baseline, "cpu", toy_id), "cpu", **UNTRAINED)
-    check_untrained(model, real_observations(obs_size=model.observation_space["heightmap"].shape[-1]))
-
-
-def test_an_untrained_agent_of_states_expects_nothing_and_explores():
-    model = make_model(resolve("sacfd_state", "cpu", BLOCKS), "cpu", **UNTRAINED)
-    assert set(model.observation_space.spaces) == {"state", "holding"}
-    check_untrained(model, real_observations(observation="state"))
-    model.env.close()
 
 
 @pytest.mark.parametrize("preset", ["cpu", pytest.param("paper", marks=pytest.mark.slow)])

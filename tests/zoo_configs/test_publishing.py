@@ -30,14 +30,14 @@ from zoo_configs.publishing.published import published_agents, read_card
 FILE = "sacfd-BulletArm-CloseLoopToy-v0.zip"
 FILES = {FILE, "card.json", "README.md"}
 SNIPPET = re.compile(r"```python\n(.*?)```", re.DOTALL)
-AGENTS = {f"{task_name(agent.card.env)}-{agent.card.label}": agent for agent in published_agents()}
+AGENTS = {f"{task_name(card.env)}-{card.label}": card for card in published_agents()}
 GOALS = dict.fromkeys(("CloseLoopBlockStacking", "CloseLoopHouseBuilding", "CloseLoopObjectGrasping"), 0.85)
 GOALS |= dict.fromkeys(("OpenLoopHouseBuilding4", "OpenLoopImproviseHouseBuilding3"), 0.8)
 GOALS |= dict.fromkeys(("OpenLoopCovidTest", "OpenLoopObjectGrasping"), 0.8)
 ONE, ALL = 1_000_000, 10_000_000  # bytes
 FEW = 4  # episodes
 UNLIKELY = 1e-4
-every_agent = pytest.mark.parametrize("agent", AGENTS.values(), ids=AGENTS)
+every_agent = pytest.mark.parametrize("card", AGENTS.values(), ids=AGENTS)
 
 
 def test_weights_that_are_too_large_for_float16_are_not_rounded():
@@ -98,33 +98,33 @@ def test_a_file_is_small_without_traces_of_the_machine_and_can_be_trained(toy_id
     assert np.isfinite(after).all() and not np.array_equal(before, after)
 
 
-def check_first_episodes(agent, episodes):
+def check_first_episodes(card, episodes):
     """They end as on the card. On another machine, enough of them succeed for the card's success rate."""
-    query = AgentQuery(published=agent.card.env, baseline=agent.card.label, device="cpu")
-    options = EvalOptions(episodes, agent.card.test_seed, progress=False)
+    query = AgentQuery(published=card.env, baseline=card.label, device="cpu")
+    options = EvalOptions(episodes, card.test_seed, progress=False)
     successes = evaluate_agent(find_agent(query), options).successes
-    if {key: agent.card.measured[key] for key in arithmetic()} == arithmetic():
-        assert successes == [outcome == "1" for outcome in agent.card.outcomes[:episodes]]
-    assert stats.binom.cdf(sum(successes), episodes, agent.card.interval[0]) > UNLIKELY
+    if {key: card.measured[key] for key in arithmetic()} == arithmetic():
+        assert successes == [outcome == "1" for outcome in card.outcomes[:episodes]]
+    assert stats.binom.cdf(sum(successes), episodes, card.interval[0]) > UNLIKELY
 
 
 def test_agents_are_small_and_listed(capsys):
-    sizes = [path.stat().st_size for agent in AGENTS.values() for path in agent.folder.iterdir()]
+    sizes = [path.stat().st_size for card in AGENTS.values() for path in card.folder.iterdir()]
     assert sizes and max(sizes) < ONE and sum(sizes) < ALL
     assert main(["list", "--published"]) == 0
     printed = capsys.readouterr().out
-    assert all(agent.card.env in printed for agent in AGENTS.values())
+    assert all(card.env in printed for card in AGENTS.values())
 
 
 @every_agent
-def test_an_agent_reaches_its_goal_and_has_its_page(agent):
-    card, task = agent.card, task_name(agent.card.env)
-    assert agent.model_file.is_file() and agent.folder.parts[-2:] == (task, card.label)
+def test_an_agent_reaches_its_goal_and_has_its_page(card):
+    task = task_name(card.env)
+    assert card.model_file.is_file() and card.folder.parts[-2:] == (task, card.label)
     assert card.episodes == 100
     assert card.interval[0] <= card.success == card.outcomes.count("1") / 100 <= card.interval[1]
     assert all(getattr(card, name) for name in ("command", "commit", "date", "machine", "versions"))
     assert card.success >= GOALS.get(task, 0.95 if task.startswith("CloseLoop") else 0.9)
-    assert (agent.folder / "README.md").read_text(encoding="utf-8") == packing.render_readme(card)
+    assert (card.folder / "README.md").read_text(encoding="utf-8") == packing.render_readme(card)
 
 
 @pytest.mark.parametrize("name", ["CloseLoopBlockReaching-equi_sacfd", "CloseLoopBlockPicking-equi_sacfd"])
@@ -134,8 +134,8 @@ def test_first_episodes_end_as_on_the_card(name):
 
 @pytest.mark.slow
 @every_agent
-def test_success_is_that_of_the_card(agent):
-    check_first_episodes(agent, agent.card.episodes)
+def test_success_is_that_of_the_card(card):
+    check_first_episodes(card, card.episodes)
 
 
 class Hub:

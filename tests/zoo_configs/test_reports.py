@@ -16,11 +16,11 @@ from PIL import Image
 
 from zoo_configs import provenance
 from zoo_configs.cli import main
-from zoo_configs.commands.train import build_parser
 from zoo_configs.drawing.curves import LearningCurve, mean_curve
 from zoo_configs.drawing.video import observed_images
 from zoo_configs.experiments.config import resolve
 from zoo_configs.experiments.flags import find_experiment
+from zoo_configs.parsers import parse_train
 from zoo_configs.results import baseline_rows, experiment_row, interquartile_mean, read_experiments
 from zoo_configs.training.options import TrainingOptions, given_options
 from zoo_configs.training.runs import Run, find_runs, repeating_command, write_resolved
@@ -141,7 +141,7 @@ def test_the_command_of_a_run_repeats_it(folder):
     run = next(run for run in find_runs(folder) if run.seed == 1)
     words = shlex.split(repeating_command(run))
     assert words[:2] == ["bulletarm-zoo", "train"]
-    args = build_parser().parse_args(words[2:])
+    args = parse_train(words[2:])
     again = find_experiment(args)
     assert again.hyperparams == run.experiment.hyperparams and args.seed == 1 and args.device == "cpu"
     assert TrainingOptions.of(again, given_options(args)) == run.options

@@ -1,21 +1,18 @@
 """Resuming of runs, and loading of models."""
 
-import errno
-import os
 import shutil
 from pathlib import Path
 
 import gymnasium as gym
 import pytest
-from sweeps import same
+from sweeps import RUN_NAME, same
 
-from sb3_extensions.common import checkpoint
 from sb3_extensions.sacfd import SACfD
 from zoo_configs.agents import algorithm_of
 from zoo_configs.algorithms import algorithm_classes
 from zoo_configs.cli import main
+from zoo_configs.training.runs import load_run
 
-RUN_NAME = "BulletArm-CloseLoopToy-v0_1"
 STACKING = "BulletArm/OpenLoopBlockStacking-v0"
 
 
@@ -35,6 +32,7 @@ def test_an_extended_run_equals_a_longer_one(train_tiny, tmp_path, capsys, refus
     assert str(newest) in line and str(older) in line
     assert train_tiny(tmp_path / "c", *constant, "-n", "18") == 0
     assert same(extended, longer) and same(damaged, longer)
+    assert load_run(extended).options == load_run(longer).options
     assert len({(run / "certificate.yml").read_text() for run in runs}) == 1
     for model in damaged.glob("checkpoints/*/model.zip"):
         model.write_bytes(b"")
@@ -53,20 +51,6 @@ def test_a_run_that_cannot_be_resumed_is_one_line(run_folder, refuse):
         ("-i model.zip", "--trained-agent"),
     ):
         assert text in refuse("train", "--resume", str(run_folder), *words.split())
-
-
-def test_a_full_disk_leaves_no_half_checkpoint(train_tiny, tmp_path, monkeypatch, capsys):
-    def fill(path):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr(checkpoint, "_sync", fill)
-    assert train_tiny(tmp_path / "a") == 2
-    [line] = capsys.readouterr().err.splitlines()
-    assert "No space left on device" in line
-    [run] = (tmp_path / "a" / "sacfd").iterdir()
-    assert (run / "best_model.zip").is_file() and not list((run / "checkpoints").iterdir())
-    assert train_tiny(tmp_path / "b", "--eval-freq", "0") == 2
-    assert not (tmp_path / "b").exists()
 
 
 def test_a_run_without_a_model_is_skipped(trained, toy_id, tmp_path, capsys, refuse):

@@ -13,7 +13,7 @@ import pytest
 import torch as th
 import yaml
 from stable_baselines3.common.callbacks import BaseCallback
-from sweeps import TINY, same
+from sweeps import TINY, TUNED, same
 from toy_env import TOY_ID
 
 from zoo_configs.algorithms import algorithm_classes
@@ -29,7 +29,6 @@ from zoo_configs.training.train import TrainingInterrupted, train_experiment
 
 GOLDEN = Path(__file__).with_name("golden_updates.yml")
 """Certificates of short trainings; the bits depend on processor and versions."""
-RUN_NAME = "BulletArm-CloseLoopToy-v0_1"
 SHORT = TINY["options"]
 REACHING, STACKING = "BulletArm/CloseLoopBlockReaching-v0", "BulletArm/OpenLoopBlockStacking-v0"
 
@@ -61,10 +60,6 @@ def train(toy_id, tmp_path):
         )
 
     return run
-
-
-def state(run):
-    return None if run.status is None else run.status.state
 
 
 def test_trainings_in_a_process_are_independent_and_quiet(train, capsys):
@@ -102,9 +97,9 @@ def test_a_run_that_was_killed_at_its_very_end_is_done(train):
     run, whole = train(at="a"), train(at="b")
     status = run.folder / "state.yml"
     status.write_text(status.read_text().replace("state: done", "state: running"))
-    assert state(run) is State.KILLED
+    assert run.status.state is State.KILLED
     run.last_model.write_bytes(b"of an earlier interruption")
-    assert state(train(at="a")) is State.DONE and same(run.folder, whole.folder)
+    assert train(at="a").status.state is State.DONE and same(run.folder, whole.folder)
 
 
 def test_an_early_failure_leaves_no_folder_and_ctrl_c_a_model(train, tmp_path):
@@ -113,7 +108,7 @@ def test_an_early_failure_leaves_no_folder_and_ctrl_c_a_model(train, tmp_path):
     assert not (tmp_path / "sacfd").exists()
     with pytest.raises(TrainingInterrupted) as stop:
         train(Stop(8, KeyboardInterrupt()))
-    assert state(stop.value.run) is State.KILLED and stop.value.run.last_model.is_file()
+    assert stop.value.run.status.state is State.KILLED and stop.value.run.last_model.is_file()
 
 
 @pytest.mark.parametrize("algo", ["sacfd", "sac"])
@@ -178,15 +173,7 @@ class Terminal(io.StringIO):
 
 def test_progress_bars_are_shown_on_terminals(run_folder, tmp_path, monkeypatch, toy_id):
     words = ["train", "--baseline", "sacfd", "--preset", "quick", "--env", toy_id, "-f", str(tmp_path)]
-    words += ["-n", "2", "--eval-freq", "0", "--device", "cpu", "--env-kwargs", "obs_size:48"]
-    words += [
-        "-params",
-        "expert_episodes:2",
-        "pretrain_steps:2",
-        "batch_size:4",
-        "buffer_size:100",
-        "n_envs:1",
-    ]
+    words += ["-n", "2", "--eval-freq", "0", "--device", "cpu", *TUNED]
     enjoy = ["enjoy", str(run_folder), "-n", "1", "--device", "cpu"]
     for file, more in (Terminal(), []), (io.StringIO(), []), (silent := Terminal(), ["--no-progress"]):
         monkeypatch.setattr(sys, "stderr", file)

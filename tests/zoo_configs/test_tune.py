@@ -1,20 +1,17 @@
 """``bulletarm-zoo tune``: search spaces, trials, and studies of several processes."""
 
-import os
-import subprocess
-import sys
-
 import optuna
 import pytest
 import yaml
 from optuna.trial import FixedTrial
-from sweeps import ALL, PATH, trials_of, wait_for
+from sweeps import ALL, TUNED, study_of
 
 from zoo_configs.algorithms import algorithm_classes
 from zoo_configs.cli import main
 from zoo_configs.errors import CommandError
 from zoo_configs.experiments.config import ExperimentConfig, merge, resolve
 from zoo_configs.files import parse_yaml
+from zoo_configs.training.state import lock
 from zoo_configs.tuning.space import (
     BASELINE,
     Parameter,
@@ -29,9 +26,7 @@ from zoo_configs.tuning.study import ERROR
 PICKING = "BulletArm/CloseLoopBlockPicking-v0"
 SPACE = "learning_rate: {low: 1.0e-4, high: 1.0e-2, log: true}\nbatch_size: {choices: [4, 8]}\n"
 NAME = "sacfd_CloseLoopToy"
-EXPERIMENT = ["--baseline", "sacfd", "--preset", "quick", "--env-kwargs", "obs_size:48"]
 SIZE = ["-n", "6", "--eval-episodes", "1", "--n-evaluations", "2", "--n-startup-trials", "2"]
-TINY = ["-params", "expert_episodes:2", "pretrain_steps:1", "batch_size:4", "buffer_size:100", "n_envs:1"]
 
 
 @pytest.fixture
@@ -40,21 +35,21 @@ def tune(toy_id, tmp_path):
     (space := tmp_path / "space.yml").write_text(SPACE)
 
     def run(*more):
-        named = ["tune", *EXPERIMENT, "--env", toy_id, "-f", str(tmp_path), "--space", str(space)]
-        return main([*named, *SIZE, "--num-threads", "1", *more, *TINY])
+        named = ["tune", "--baseline", "sacfd", "--preset", "quick", "--env", toy_id, "-f", str(tmp_path)]
+        return main([*named, "--space", str(space), *SIZE, "--num-threads", "1", *more, *TUNED])
 
     return run
 
 
 def states(folder):
-    return [trial.state.name for trial in trials_of(folder, NAME)]
+    return [trial.state.name for trial in study_of(folder, NAME).trials]
 
 
 def test_a_study_begins_with_the_baseline_and_repeats_itself(tune, toy_id, tmp_path, capsys):
     assert tune("--n-trials", "1") == 0
     assert "trial" not in capsys.readouterr().err
     assert tune("--n-trials", "3", "-P") == 0
-    done, printed = trials_of(tmp_path, NAME), capsys.readouterr()
+    done, printed = study_of(tmp_path, NAME).trials, capsys.readouterr()
     folder = tmp_path / "studies" / NAME
     assert done[0].params == {"learning_rate": 0.001, "batch_size": "4"}
     assert len(done) == 3 and all(0 <= trial.value <= 1 for trial in done if trial.value is not None)
@@ -68,39 +63,33 @@ def test_a_study_begins_with_the_baseline_and_repeats_itself(tune, toy_id, tmp_p
     assert main([*command, "-f", str(tmp_path / "logs"), "--no-progress", "--eval-freq", "0"]) == 0
     assert tune("--study-name", "whole", "--n-trials", "3") == 0
     assert tune("--study-name", "other", "--n-trials", "2", "--seed", "1") == 0
-    found = [[(t.params, t.value) for t in trials_of(tmp_path, name)] for name in (NAME, "whole", "other")]
+    found = [
+        [(t.params, t.value) for t in study_of(tmp_path, name).trials] for name in (NAME, "whole", "other")
+    ]
     assert found[0] == found[1] and len({str(params) for params, _ in found[0]}) == 3
     assert found[2][1] != found[0][1]
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("toys")
-def test_a_trial_of_a_killed_process_is_continued(tune, tmp_path):
-    study, named = "sacfd_CloseLoopToyHanging", ["--env", "toy_tasks:BulletArm/CloseLoopToyHanging-v0"]
-    words = ["tune", *EXPERIMENT, *named, "-f", str(tmp_path), "--num-threads", "1", *SIZE, "--n-trials", "2"]
-    command = [sys.executable, "-m", "zoo_configs.cli", *words, "--space", str(tmp_path / "space.yml"), *TINY]
-    variables = {**os.environ, "PYTHONPATH": PATH, "HANGS": "1"}
-    with subprocess.Popen(command, cwd=tmp_path, env=variables, stdout=subprocess.DEVNULL) as worker:
-        try:
-            wait_for(lambda: any(tmp_path.glob("studies/*/trial_0000/checkpoints/*/model.zip")))
-            assert tune("--n-trials", "1", *named) == 0  # the worker trains it
-        finally:
-            worker.kill()
-    assert [trial.state.name for trial in trials_of(tmp_path, study)] == ["RUNNING"]
-    assert tune("--n-trials", "2", *named) == tune("--n-trials", "2", "--study-name", "whole", *named) == 0
-    killed, *resumed = sorted(trials_of(tmp_path, study), key=lambda trial: trial.state.name != "FAIL")
-    assert killed.number == 0 and resumed[0].user_attrs["repeats"] == [0]
-    whole = [(trial.params, trial.value) for trial in trials_of(tmp_path, "whole")]
-    assert [(trial.params, trial.value) for trial in resumed] == whole
-    folders = {path.name for path in (tmp_path / "studies" / study).glob("trial_*") if path.is_dir()}
-    assert folders == {"trial_0000", "trial_0002"}
+def test_only_a_trial_of_a_dead_process_is_repeated(tune, tmp_path):
+    assert tune("--n-trials", "1") == 0
+    trial = study_of(tmp_path, NAME).ask()
+    with (tmp_path / "studies" / NAME / f"trial_{trial.number:04d}.lock").open("a") as claim:
+        assert lock(claim)  # as a process that trains it
+        assert tune("--n-trials", "2") == 0
+        assert states(tmp_path) == ["COMPLETE", "RUNNING"]
+    assert tune("--n-trials", "2") == 0
+    assert states(tmp_path) == ["COMPLETE", "FAIL", "COMPLETE"]
+    assert study_of(tmp_path, NAME).trials[2].user_attrs["repeats"] == [1]
+    folders = {path.name for path in (tmp_path / "studies" / NAME).glob("trial_*") if path.is_dir()}
+    assert folders == {"trial_0000", "trial_0001"}
 
 
 def test_a_study_without_a_complete_trial_fails(tune, tmp_path, capsys):
     (tmp_path / "space.yml").write_text("tau: {choices: [x, y]}")
-    assert tune("--n-trials", "2", "--pruner", "none") == 0  # the baseline
+    assert tune("--n-trials", "2", "--pruner", "none", "--save-freq", "0") == 0  # the baseline
+    assert not list(tmp_path.glob("studies/*/trial_0000/checkpoints"))
     assert states(tmp_path) == ["COMPLETE", "FAIL"]
-    assert "tau" in trials_of(tmp_path, NAME)[1].user_attrs[ERROR]
+    assert "tau" in study_of(tmp_path, NAME).trials[1].user_attrs[ERROR]
     assert tune("--n-trials", "1", "--study-name", "all", "-params", "tau:x") == 2
     assert "tau" in capsys.readouterr().err
 
@@ -112,7 +101,7 @@ def test_a_trial_that_falls_behind_is_pruned(tune, tmp_path, monkeypatch):
     monkeypatch.setattr(optuna.Trial, "should_prune", lambda trial: trial.number == 1)
     assert tune("--n-trials", "2") == 0
     assert states(tmp_path) == ["COMPLETE", "PRUNED"]
-    first, second = trials_of(tmp_path, NAME)
+    first, second = study_of(tmp_path, NAME).trials
     assert first.params == {"tau": 0.01} and second.last_step == 0
     assert second.params.keys() == {"tau", "policy_kwargs.n_critics"} and second.params["tau"] != 0.01
 

@@ -46,6 +46,6 @@ def test_mistakes_are_one_line(run_folder, tmp_path, refuse):
     assert "certificate.yml" in refuse("verify", str(copy))
     (copy / "certificate.yml").unlink()
     assert "certificate.yml" in refuse("verify", str(copy))
-    assert "run folder" in refuse("verify")
+    assert "RUN_FOLDER" in refuse("verify")
     assert "--baseline" in refuse("verify", str(run_folder), "--baseline", "sacfd")
     assert "'-1'" in refuse("verify", str(run_folder), "--updates", "-1")

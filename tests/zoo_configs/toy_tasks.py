@@ -5,7 +5,6 @@ import itertools
 import os
 import signal
 import time
-from pathlib import Path
 
 import gymnasium as gym
 from toy_env import TOY_ID, ToyEnv
@@ -31,13 +30,6 @@ def step_slowly(env, action):
     return ToyEnv.step(env, action)
 
 
-def hang(env, action):
-    """Stop once there is a checkpoint, if ``HANGS`` is set."""
-    while "HANGS" in os.environ and any(Path().glob("studies/*/*/checkpoints/*/model.zip")):
-        time.sleep(1)
-    return ToyEnv.step(env, action)
-
-
 def count():
     """Kill the process at the event with the number ``DIES_AT``."""
     if next(EVENTS) == int(os.environ.get("DIES_AT", 0)):
@@ -58,6 +50,6 @@ def replace_and_count(*args, **kwargs):
 if "DIES_AT" in os.environ:
     os.replace = replace_and_count
 STEPS = {"": ToyEnv.step, "Failing": fail, "Crashing": crash, "Full": fill_disk, "Slow": step_slowly}
-for name, step in {**STEPS, "Hanging": hang, "Counting": step_and_count}.items():
+for name, step in {**STEPS, "Counting": step_and_count}.items():
     if (env_id := TOY_ID.replace("Toy", f"Toy{name}")) not in gym.registry:
         gym.register(env_id, entry_point=type(f"Toy{name}", (ToyEnv,), {"step": step}))

@@ -19,7 +19,7 @@ from zoo_configs.environments import register_environments
 from zoo_configs.errors import CommandError, reason
 from zoo_configs.files import check_writable
 from zoo_configs.provenance import versions
-from zoo_configs.training.runs import CHECKPOINT_FOLDER, Run
+from zoo_configs.training.runs import Run
 from zoo_configs.training.state import State, set_status
 
 CONNECTING_SECONDS = 15.0
@@ -38,15 +38,11 @@ Resources = Mapping[str, float]
 
 
 def check_address(address: str) -> None:
-    """
-    Connect to a Ray cluster in another process, because ``ray.init`` retries a dead address for many minutes.
-
-    :raises CommandError: if Ray is not installed, or no cluster answers within ``CONNECTING_SECONDS``
-    """
+    """Raise ``CommandError`` if Ray is not installed or no cluster answers within ``CONNECTING_SECONDS``."""
     if find_spec("ray") is None:
         raise CommandError("--ray needs Ray: pip install 'bulletarm-gym[cluster]'")
     command, why = [sys.executable, "-c", CONNECT, address], f"no answer within {CONNECTING_SECONDS:g} s"
-    try:
+    try:  # in another process, because ``ray.init`` retries a dead address for many minutes
         subprocess.run(command, capture_output=True, text=True, timeout=CONNECTING_SECONDS, check=True)
     except subprocess.SubprocessError as error:
         if isinstance(error, subprocess.CalledProcessError):
@@ -63,31 +59,26 @@ def machines() -> list[dict[str, Any]]:
     return [node for node in found if node["Alive"] and node["Resources"].get("CPU", 0) > 0]
 
 
-def check_resources(resources: Mapping[str, Resources]) -> None:
+def check_resources(resources: Mapping[Path, Resources]) -> None:
     """Raise ``CommandError`` if no machine is large enough for a run, which would wait forever."""
     nodes = [node["Resources"] for node in machines()]
-    for name, needed in resources.items():
+    for folder, needed in resources.items():
         if not any(
             all(needed[key] <= node.get(part, 0.0) for part, key in RESOURCES.items()) for node in nodes
         ):
             raise CommandError(
-                f"no machine of the cluster is large enough for {name}: {needed['num_cpus']:g} CPU, "
+                f"no machine of the cluster is large enough for {folder}: {needed['num_cpus']:g} CPU, "
                 f"{needed['num_gpus']:g} GPU, {needed['memory'] / GIGABYTE:.1f} GB (--cpus, --gpus, --memory)"
             )
 
 
 @contextmanager
-def connected(address: str, folder: Path, gym_packages: Sequence[str]) -> Iterator[str]:
-    """
-    Connect to a Ray cluster, whose address :func:`check_address` has checked, and check its machines.
-
-    Provide the name of a file by which machines recognize the folder.
-    """
+def connected(address: str, folder: Path, gym_packages: Sequence[str]) -> Iterator[Path]:
+    """Connect to a Ray cluster, check its machines, and provide a file by which they recognize the folder."""
     import ray
     from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
-    token = f"{TOKEN}{uuid.uuid4().hex}"
-    (folder / token).touch()
+    (token := folder / f"{TOKEN}{uuid.uuid4().hex}").touch()
     try:
         ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
         check = ray.remote(num_cpus=0, max_retries=3)(check_machine)
@@ -95,24 +86,17 @@ def connected(address: str, folder: Path, gym_packages: Sequence[str]) -> Iterat
             strategy = NodeAffinitySchedulingStrategy(node["NodeID"], soft=False)
             here = check.options(scheduling_strategy=strategy)
             where = f"{node['NodeManagerHostname']} ({node['NodeManagerAddress']})"
-            _result(here.remote(folder, token, tuple(gym_packages), versions()), where)
+            _result(here.remote(token, tuple(gym_packages), versions()), where)
         yield token
     finally:
         ray.shutdown()
-        (folder / token).unlink(missing_ok=True)
+        token.unlink(missing_ok=True)
 
 
-def check_machine(folder: Path, token: str, gym_packages: Sequence[str], required: Mapping[str, str]) -> None:
-    """
-    Check on a machine of the cluster that it can train.
-
-    :param token: Name of a file that must exist in the folder of the benchmark
-    :param gym_packages: Packages that must be importable
-    :param required: Required versions, because a run may move to another machine
-    :raises CommandError: if it cannot
-    """
-    _check_shared(folder, token)
-    check_writable(folder / token, "--log-folder")
+def check_machine(token: Path, gym_packages: Sequence[str], required: Mapping[str, str]) -> None:
+    """Raise ``CommandError`` if a machine of the cluster cannot train, or continue runs of the others."""
+    _check_shared(token)
+    check_writable(token, "--log-folder")
     register_environments(gym_packages)
     own = versions()
     if others := [
@@ -131,30 +115,24 @@ def _result(reference: Any, what: str) -> Any:
         raise CommandError(f"{what}: {reason(getattr(error, 'cause', None) or error)}") from error
 
 
-def _check_shared(folder: Path, token: str) -> None:
+def _check_shared(token: Path) -> None:
     last = time.monotonic() + SETTLING_SECONDS
-    while not (folder / token).exists():
+    while not token.exists():
         if time.monotonic() > last:
-            raise CommandError(f"{socket.gethostname()} must mount {folder} at this path, as all machines")
+            where = f"{token.parent} at this path"
+            raise CommandError(f"{socket.gethostname()} must mount {where}, as all machines")
         time.sleep(POLL)
 
 
-def train(job: Run, folder: Path, token: str) -> int:
-    """
-    Train one run on a machine of the cluster and return the exit code.
-
-    An error of the run is recorded in its folder and does not fail the Ray task, which Ray would repeat.
-
-    :param token: Name of the file of :func:`shared_folder`
-    :raises CommandError: if the machine cannot read the folder
-    """
-    _check_shared(folder, token)
-    if _starts(folder / job.folder, token) > MAX_STARTS:
+def train(job: Run, token: Path) -> int:
+    """Train one run on a machine of the cluster and return its exit code; Ray would repeat a failed task."""
+    _check_shared(token)
+    if _starts(job, token) > MAX_STARTS:
         error = f"lost {MAX_STARTS} times at the same checkpoint. It may need more memory"
-        set_status(folder / job.folder, State.FAILED, error)
+        set_status(job.folder, State.FAILED, error)
         return int(ExitCode.FAILED)
     visible = {name: os.environ[name] for name in ("CUDA_VISIBLE_DEVICES",) if name in os.environ}
-    process = JobProcess(job, folder, visible)
+    process = JobProcess(job, visible)
     try:
         while not process.wait(POLL):  # Ray can interrupt between short waits
             pass
@@ -163,29 +141,22 @@ def train(job: Run, folder: Path, token: str) -> int:
     return int(process.exit_code())
 
 
-def _starts(run_folder: Path, token: str) -> int:
+def _starts(job: Run, token: Path) -> int:
     """Count the starts of a run from its newest checkpoint in this benchmark."""
-    newest = " ".join(sorted(path.name for path in (run_folder / CHECKPOINT_FOLDER).glob("[!.]*")))
-    run_folder.mkdir(parents=True, exist_ok=True)
-    with (run_folder / STARTS_FILE).open("a+", encoding="utf-8") as file:
-        file.write(f"{token} {newest}\n")
+    newest = " ".join(sorted(path.name for path in job.checkpoint_folder.glob("[!.]*")))
+    job.folder.mkdir(parents=True, exist_ok=True)
+    with (job.folder / STARTS_FILE).open("a+", encoding="utf-8") as file:
+        file.write(f"{token.name} {newest}\n")
         file.seek(0)
-        return file.read().splitlines().count(f"{token} {newest}")
+        return file.read().splitlines().count(f"{token.name} {newest}")
 
 
 def run_on_ray(
-    jobs: Sequence[Run],
-    folder: Path,
-    resources: Mapping[str, Resources],
-    token: str,
-    look: Callable[[], None],
+    jobs: Sequence[Run], resources: Mapping[Path, Resources], token: Path, look: Callable[[], None]
 ) -> None:
     """
     Train runs on the connected cluster. A run that is lost with its machine resumes on another one.
 
-    :param resources: Resources of each run by its name
-    :param token: Name of the file of :func:`shared_folder`
-    :param look: Function that is called regularly
     :raises CommandError: if the storage is full, or a machine cannot read it; the runs are interrupted
     :raises KeyboardInterrupt: after Ctrl-C, when the runs have stopped
     """
@@ -194,14 +165,14 @@ def run_on_ray(
     remote = ray.remote(max_retries=-1, retry_exceptions=False)(train)
     running = {}
     for job in jobs:
-        name = str(job.folder)
-        running[remote.options(**resources[name], name=name).remote(job, folder, token)] = job
+        options = {**resources[job.folder], "name": str(job.folder)}
+        running[remote.options(**options).remote(job, token)] = job.folder
     try:
         while running:
             ended, _ = ray.wait(list(running), num_returns=1, timeout=POLL)
             for reference in ended:
-                code = _result(reference, str(running.pop(reference).folder))
-                check_storage(ExitCode(code), folder)
+                run_folder = running.pop(reference)
+                check_storage(_result(reference, str(run_folder)), run_folder)
             look()
     finally:
         for reference in running:

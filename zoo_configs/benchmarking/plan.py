@@ -89,19 +89,16 @@ def parse_plan(where: str, content: Any) -> Plan:
 
 
 def build_jobs(
-    plan: Plan, gym_packages: Sequence[str] = (), device: str = "auto", num_threads: int = 1
+    plan: Plan, folder: Path, gym_packages: Sequence[str] = (), device: str = "auto", num_threads: int = 1
 ) -> list[Run]:
     """
     Return the runs of a plan in the order in which they start.
 
-    Their folders, ``<task>/<baseline>/seed_<n>`` or ``<task>/<baseline>-<variant>/seed_<n>``, are relative to
-    that of the benchmark.
-
     Runs that follow each other have different tasks or seeds, so that each set of demonstrations is collected
     only once.
 
-    :param gym_packages: Packages that register environments
-    :param device: PyTorch device
+    :param folder: Folder of the benchmark. Those of the runs in it are ``<task>/<baseline>/seed_<n>`` or
+        ``<task>/<baseline>-<variant>/seed_<n>``
     :param num_threads: Number of PyTorch threads of a run, unless the options of the plan define it
     :raises CommandError: for an unknown task, baseline, preset, option or seed
     """
@@ -110,7 +107,7 @@ def build_jobs(
     preset = plan.preset or default_preset(device)
     experiments = [
         (
-            Path(task_name(task), f"{label}-{variant}" if variant else label),
+            folder / task_name(task) / (f"{label}-{variant}" if variant else label),
             resolve(label, preset, task, merge(plan.hyperparams, values), plan.benchmark),
         )
         for task in tasks
@@ -120,11 +117,11 @@ def build_jobs(
     options = {"num_threads": num_threads, **plan.options}
     packages = tuple(gym_packages)
     return [
-        Run(folder / f"{SEED_PREFIX}{seed}", one, seed, device, TrainingOptions.of(one, options), packages)
-        for wanted in dict.fromkeys(folder.name for folder, _ in experiments)
+        Run(place / f"{SEED_PREFIX}{seed}", one, seed, device, TrainingOptions.of(one, options), packages)
+        for wanted in dict.fromkeys(place.name for place, _ in experiments)
         for seed in _seeds(plan.seeds)
-        for folder, one in experiments
-        if folder.name == wanted
+        for place, one in experiments
+        if place.name == wanted
     ]
 
 

@@ -10,7 +10,6 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from enum import IntEnum
 from multiprocessing.connection import wait
 from multiprocessing.process import BaseProcess
@@ -19,6 +18,7 @@ from pathlib import Path
 from zoo_configs.errors import CommandError, causes, reason
 from zoo_configs.training.runs import Run
 from zoo_configs.training.state import State, is_training, run_status, set_status
+from zoo_configs.training.train import train_run
 
 LOG_FILE = "log.txt"
 LOCK_SECONDS, LOCK_POLL = 180.0, 0.2
@@ -42,22 +42,13 @@ class ExitCode(IntEnum):
 
 
 class JobProcess:
-    """
-    Process that trains one run and writes its output to ``log.txt`` in the run folder.
+    """Process group that trains one run, with its output in ``log.txt``, and is killed with its parent."""
 
-    It has its own process group and is killed when its parent ends.
-
-    :param job: The run
-    :param folder: Folder of the benchmark
-    :param environ: Environment variables
-    """
-
-    def __init__(self, job: Run, folder: Path, environ: Mapping[str, str] | None = None) -> None:
+    def __init__(self, job: Run, environ: Mapping[str, str] | None = None) -> None:
         # The fork server has imported PyTorch, but has neither threads nor a device.
         context = multiprocessing.get_context("forkserver")
         context.set_forkserver_preload(PRELOADED)
-        self.run_folder = folder / job.folder
-        arguments = (job, folder, dict(environ or {}))
+        self.run_folder, arguments = job.folder, (job, dict(environ or {}))
         self._process: BaseProcess = context.Process(target=_work, args=arguments, name=str(job.folder))
         self._process.start()
         self.sentinel = self._process.sentinel
@@ -91,12 +82,11 @@ class JobProcess:
         self._process.join()
 
 
-def run_here(jobs: Sequence[Run], folder: Path, n_jobs: int, look: Callable[[], None]) -> None:
+def run_here(jobs: Sequence[Run], n_jobs: int, look: Callable[[], None]) -> None:
     """
     Train runs in processes of this machine, in the order of ``jobs``. A failed run does not stop the others.
 
     :param n_jobs: Number of runs at the same time
-    :param look: Function that is called regularly
     :raises CommandError: if the storage is full; the runs are interrupted
     :raises KeyboardInterrupt: after Ctrl-C, when the runs have stopped; a second Ctrl-C kills them
     """
@@ -104,21 +94,21 @@ def run_here(jobs: Sequence[Run], folder: Path, n_jobs: int, look: Callable[[], 
     try:
         while waiting or running:
             while waiting and len(running) < n_jobs:
-                running.append(JobProcess(waiting.pop(), folder))
+                running.append(JobProcess(waiting.pop()))
             wait([process.sentinel for process in running], POLL)
             ended = [process for process in running if process.wait(0)]
             running = [process for process in running if process not in ended]
             for process in ended:
-                check_storage(process.exit_code(), folder)
+                check_storage(process.exit_code(), process.run_folder)
             look()
     finally:
         stop(running)
 
 
-def check_storage(code: ExitCode, folder: Path) -> None:
+def check_storage(code: int, run_folder: Path) -> None:
     """Raise an error if a run has ended because its folder is full or not writable."""
-    if code is ExitCode.STORAGE:
-        raise CommandError(f"{folder} is full or not writable. Free some space and start the command again")
+    if code == ExitCode.STORAGE:
+        raise CommandError(f"{run_folder} is full or not writable. Free space and start the command again")
 
 
 def stop(running: Sequence[JobProcess]) -> None:
@@ -134,19 +124,19 @@ def stop(running: Sequence[JobProcess]) -> None:
             process.kill()
 
 
-def _work(job: Run, folder: Path, environ: Mapping[str, str]) -> None:
+def _work(job: Run, environ: Mapping[str, str]) -> None:
     """Run the process."""
     os.setsid()
     os.environ.update(environ)
     signal.signal(signal.SIGINT, signal.default_int_handler)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
-        _train(job, folder / job.folder)
+        _train(job)
     except KeyboardInterrupt:
         sys.exit(ExitCode.INTERRUPTED)
     except Exception as error:  # any error of the run
         traceback.print_exc()
-        sys.exit(_record_failure(folder / job.folder, error))
+        sys.exit(_record_failure(job.folder, error))
 
 
 def _end_with_parent() -> None:
@@ -156,18 +146,16 @@ def _end_with_parent() -> None:
     os.killpg(os.getpgrp(), signal.SIGKILL)
 
 
-def _train(job: Run, run_folder: Path) -> None:
-    from zoo_configs.training.train import train_run
-
-    run_folder.mkdir(parents=True, exist_ok=True)
-    with (run_folder / LOG_FILE).open("a", encoding="utf-8") as file:
+def _train(job: Run) -> None:
+    job.folder.mkdir(parents=True, exist_ok=True)
+    with (job.folder / LOG_FILE).open("a", encoding="utf-8") as file:
         for stream in (sys.stdout, sys.stderr):
             stream.flush()
             os.dup2(file.fileno(), stream.fileno())
     last = time.monotonic() + LOCK_SECONDS
-    while is_training(run_folder) and time.monotonic() < last:
+    while is_training(job.folder) and time.monotonic() < last:
         time.sleep(LOCK_POLL)
-    train_run(replace(job, folder=run_folder))
+    train_run(job)
 
 
 def _record_failure(run_folder: Path, error: Exception) -> ExitCode:

@@ -11,14 +11,16 @@ from typing import Any, NamedTuple
 
 from tqdm import tqdm
 
+from sb3_extensions.replay.buffer import ExpertReplayBuffer
 from zoo_configs.algorithms import algorithm_classes, class_from_path
 from zoo_configs.drawing.curves import load_curve
 from zoo_configs.environments import make_env, try_env
 from zoo_configs.errors import CommandError, refused
 from zoo_configs.experiments.validation import check_experiment
 from zoo_configs.files import check_writable
-from zoo_configs.training.runs import EVALUATIONS_FILE, RESOLVED_FILE, Run, load_run
-from zoo_configs.training.state import LOCK_FILE, State, run_lock, run_status, set_status
+from zoo_configs.training.objects import import_classes
+from zoo_configs.training.runs import Run, load_run
+from zoo_configs.training.state import LOCK_FILE, State, run_lock, set_status
 from zoo_configs.training.train import check_same
 
 Runner = Callable[[Sequence[Run], Callable[[], None]], None]
@@ -49,9 +51,6 @@ def size_of(job: Run) -> Size:
 
 def _buffer_gigabytes(job: Run) -> float:
     """Return the size of the part of the replay buffer that the run fills."""
-    from sb3_extensions.replay.buffer import ExpertReplayBuffer
-    from zoo_configs.training.objects import import_classes
-
     hyperparams = job.experiment.hyperparams
     path = hyperparams.get("replay_buffer_class")
     default = getattr(algorithm_classes()[job.experiment.algo], "default_replay_buffer_class", None)
@@ -71,11 +70,7 @@ def _buffer_gigabytes(job: Run) -> float:
 
 
 def check_jobs(jobs: Sequence[Run], folder: Path) -> None:
-    """
-    Check names and values of each experiment, each environment, and the folder of the benchmark.
-
-    :raises CommandError: if a run cannot be trained, or the folder contains other runs
-    """
+    """Raise ``CommandError`` if a run cannot be trained, or the folder of the benchmark has other runs."""
     environments = {}
     for experiment in {job.folder.parent: job.experiment for job in jobs}.values():
         check_experiment(experiment)
@@ -85,69 +80,59 @@ def check_jobs(jobs: Sequence[Run], folder: Path) -> None:
         try_env(env_id, env_kwargs)
     check_writable(folder / LOCK_FILE, "--log-folder")
     for job in jobs:
-        place = folder / job.folder
-        if (place / RESOLVED_FILE).is_file():
-            check_same(load_run(place), job)
+        if job.resolved_file.is_file():
+            check_same(load_run(job.folder), job)
 
 
 class Entry(NamedTuple):
     """State of one run, its latest success, and its machine or error."""
 
-    name: str
     state: State = State.WAITING
     success: str = ""
     detail: str = ""
 
 
 class Overview:
-    """
-    States of all runs.
-
-    :param jobs: The runs
-    :param folder: Folder of the benchmark
-    """
+    """States of all runs in the folder of a benchmark."""
 
     def __init__(self, jobs: Sequence[Run], folder: Path) -> None:
         self.folder = folder
-        self.entries = {str(job.folder): Entry(str(job.folder)) for job in jobs}
+        self.jobs = {str(job.folder.relative_to(folder)): job for job in jobs}
+        self.entries = dict.fromkeys(self.jobs, Entry())
 
-    def update(self) -> list[Entry]:
-        """Read the folders of all runs that were not done, and return the entries that have changed."""
+    def update(self) -> list[str]:
+        """Read the folders of the runs that were not done, and return the names of those that changed."""
         before = self.entries
-        read = {name: _read_entry(self.folder, name) for name in before if before[name].state != State.DONE}
+        read = {name: _read_entry(self.jobs[name]) for name in before if before[name].state != State.DONE}
         self.entries = before | read
-        return [entry for name, entry in read.items() if entry != before[name]]
+        return [name for name, entry in read.items() if entry != before[name]]
 
-    def of(self, *states: State) -> list[Entry]:
-        """Return the runs with one of some states."""
-        return [entry for entry in self.entries.values() if entry.state in states]
+    def of(self, *states: State) -> list[str]:
+        """Return the names of the runs with one of some states."""
+        return [name for name, entry in self.entries.items() if entry.state in states]
 
     def counts(self) -> str:
         """Return the number of runs with each state."""
         return ", ".join(f"{len(self.of(state))} {state.value}" for state in STATES)
 
 
-def _read_entry(folder: Path, name: str) -> Entry:
+def _read_entry(job: Run) -> Entry:
     try:
-        found = run_status(folder / name)
+        found = job.status
     except CommandError as error:
-        return Entry(name, State.FAILED, detail=str(error))
+        return Entry(State.FAILED, detail=str(error))
     success = ""
     with contextlib.suppress(CommandError, OSError):  # missing, or not yet visible in a shared folder
-        curve = load_curve(folder / name / EVALUATIONS_FILE)
+        curve = load_curve(job.evaluations_file)
         success = f"success {curve.success[-1]:.2f} at {curve.timesteps[-1]}"
     state = State.WAITING if found.state is State.KILLED else found.state
     details = {State.RUNNING: f"on {found.host}", State.FAILED: found.error}
-    return Entry(name, state, success, details.get(found.state, ""))
+    return Entry(state, success, details.get(found.state, ""))
 
 
 @contextmanager
 def shown(overview: Overview, progress: bool = False) -> Iterator[Callable[[], None]]:
-    """
-    Print each change of an overview, above a progress bar with the counts.
-
-    Provide a function to call often, which updates the overview.
-    """
+    """Provide a function to call often, which prints the changes of an overview above a progress bar."""
     last = -INTERVAL
     with tqdm(total=len(overview.entries), unit="run", disable=not progress) as bar:
 
@@ -156,8 +141,9 @@ def shown(overview: Overview, progress: bool = False) -> Iterator[Callable[[], N
             if time.monotonic() - last < INTERVAL:
                 return
             last = time.monotonic()
-            for entry in overview.update():
-                parts = f"{entry.state.value} {entry.name}", entry.success, entry.detail
+            for name in overview.update():
+                entry = overview.entries[name]
+                parts = f"{entry.state.value} {name}", entry.success, entry.detail
                 bar.write(f"[{overview.counts()}] {', '.join(filter(None, parts))}", file=sys.stderr)
             bar.n = len(overview.of(*ENDED))
             bar.set_postfix_str(overview.counts())
@@ -166,30 +152,19 @@ def shown(overview: Overview, progress: bool = False) -> Iterator[Callable[[], N
 
 
 def train_jobs(
-    jobs: Sequence[Run],
-    folder: Path,
-    runner: Runner,
-    retry_failed: bool = False,
-    progress: bool = False,
+    jobs: Sequence[Run], folder: Path, runner: Runner, retry_failed: bool = False, progress: bool = False
 ) -> Overview:
-    """
-    Train the runs that are not done, in a folder that is locked meanwhile, and return their status.
-
-    :param runner: Function that trains runs
-    :param retry_failed: Whether to resume failed runs
-    :param progress: Whether to show a progress bar
-    :raises CommandError: if the runner cannot continue; the runs can be resumed
-    """
+    """Train the runs that are not done, in a folder that is locked meanwhile, and return their status."""
     overview = Overview(jobs, folder)
     with run_lock(folder):
         overview.update()
         if retry_failed:
-            for entry in overview.of(State.FAILED):
-                set_status(folder / entry.name, State.KILLED)
+            for name in overview.of(State.FAILED):
+                set_status(overview.jobs[name].folder, State.KILLED)
             overview.update()
-        ended = {entry.name for entry in overview.of(*ENDED)}
+        ended = overview.of(*ENDED)
         print(f"{folder}: {overview.counts()}", file=sys.stderr)
         with shown(overview, progress) as look:
-            runner([job for job in jobs if str(job.folder) not in ended], look)
+            runner([job for name, job in overview.jobs.items() if name not in ended], look)
     overview.update()
     return overview

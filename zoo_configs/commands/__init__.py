@@ -1,1 +1,1 @@
-"""The commands of ``bulletarm-zoo``: one module each, with a ``main(argv)``."""
+"""The commands of ``bulletarm-zoo``: one module each, with a ``main(args)``."""

@@ -2,23 +2,19 @@
 
 import argparse
 from collections import defaultdict
-from collections.abc import Sequence
 from contextlib import closing
 from typing import Any
 
 import gymnasium as gym
 
-from zoo_configs.arguments import Parser, add_packages
 from zoo_configs.drawing.tables import print_table
 from zoo_configs.environments import known_env_id, make_env, our_env_ids, register_environments
+from zoo_configs.experiments.families import families
+from zoo_configs.publishing.published import published_agents
 
-DESCRIPTION = """List environments. --env lists the spaces and parameters of one environment,
---baselines the baselines and presets of train, --published the published agents."""
 
-
-def main(argv: Sequence[str]) -> None:
+def main(args: argparse.Namespace) -> None:
     """Run the command."""
-    args = _parse(argv)
     register_environments(args.gym_packages)
     if args.published:
         _list_published()
@@ -28,16 +24,6 @@ def main(argv: Sequence[str]) -> None:
         _list_parameters(known_env_id(args.env))
     else:
         _list_environments()
-
-
-def _parse(argv: Sequence[str]) -> argparse.Namespace:
-    parser = Parser("bulletarm-zoo list", description=DESCRIPTION, allow_abbrev=False)
-    add = parser.add_argument
-    add("--env", help="id of an environment, to list its parameters and defaults")
-    add("--baselines", action="store_true", help="list baselines and presets")
-    add("--published", action="store_true", help="list the published agents")
-    add_packages(parser)
-    return parser.parse_args(argv)
 
 
 def _list_environments() -> None:
@@ -59,8 +45,6 @@ def _list_parameters(env_id: str) -> None:
 
 
 def _list_baselines() -> None:
-    from zoo_configs.experiments.families import families
-
     for family in families():
         print(f"{family.envs}, presets {', '.join(family.presets)}\n")
         baselines = family.baselines.items()
@@ -71,10 +55,8 @@ def _list_baselines() -> None:
 
 def _list_published() -> None:
     """Print the published agents with the success on their cards."""
-    from zoo_configs.publishing.published import published_agents
-
     rows = []
-    for _, card in published_agents():
+    for card in published_agents():
         low, high = card.interval
         parameters = ", ".join(f"{name}={value!r}" for name, value in card.env_kwargs.items())
         figures = [f"{card.success:.2f}", f"{low:.2f} to {high:.2f}", str(card.episodes)]

@@ -1,34 +1,28 @@
 """``bulletarm-zoo push``: uploads a trained agent to the Hugging Face hub, or writes it to a folder."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from zoo_configs.arguments import Parser, add_agent_flags, check_device, positive_int, query_of
+from zoo_configs.agents import Agent, agent_of, find_run, query_of
+from zoo_configs.arguments import check_device
+from zoo_configs.drawing.video import write_video
 from zoo_configs.environments import register_environments
 from zoo_configs.errors import CommandError, refused
+from zoo_configs.evaluating import EvalOptions
 from zoo_configs.files import check_writable, print_written
-
-if TYPE_CHECKING:
-    from zoo_configs.agents import Agent
-
-DESCRIPTION = """Upload a trained agent to the Hugging Face hub, or write it to a folder (--folder): a small
-model file, tested as it was written, and a card. The token is that of `hf auth login` or HF_TOKEN."""
+from zoo_configs.publishing.packing import check_publishable, pack
+from zoo_configs.publishing.published import CARD_FILE
+from zoo_configs.recording import agent_actor, record
+from zoo_configs.training.runs import env_folder_name
 
 
-def main(argv: Sequence[str]) -> None:
+def main(args: argparse.Namespace) -> None:
     """Run the command."""
-    args = _parse(argv)
-    from zoo_configs.agents import agent_of, find_run
-    from zoo_configs.publishing.packing import check_publishable
-
     register_environments(args.gym_packages)
     check_device(args.device)
     if args.folder is not None:
@@ -44,29 +38,9 @@ def main(argv: Sequence[str]) -> None:
     print_written(*sorted(args.folder.iterdir()))
 
 
-def _parse(argv: Sequence[str]) -> argparse.Namespace:
-    parser = Parser("bulletarm-zoo push", description=DESCRIPTION)
-    add_agent_flags(parser, is_run=True)
-    add = parser.add_argument
-    add("-orga", "--organization", help="organization or user of the repository on the hub")
-    add("-name", "--repo-name", help="name of the repository (default: BASELINE-ENV)")
-    add("--folder", type=Path, help="write this folder instead; an existing agent is replaced")
-    add("-n", "--episodes", type=positive_int, default=100, help="number of test episodes (default: 100)")
-    args = parser.parse_args(argv)
-    if (args.organization is None) == (args.folder is None):
-        parser.error("pass either --organization or --folder")
-    if args.folder is not None and args.repo_name is not None:
-        parser.error("--repo-name needs --organization")
-    return args
-
-
 def _to_hub(agent: Agent, args: argparse.Namespace) -> None:
     from huggingface_hub import HfApi
     from huggingface_hub.utils import validate_repo_id  # type: ignore[attr-defined]
-
-    from zoo_configs.drawing.video import write_video
-    from zoo_configs.recording import agent_actor, record
-    from zoo_configs.training.runs import env_folder_name
 
     name = args.repo_name or f"{agent.label}-{env_folder_name(agent.env_id)}"
     repo_id = f"{args.organization}/{name}"
@@ -89,19 +63,14 @@ def _to_hub(agent: Agent, args: argparse.Namespace) -> None:
 
 
 def _pack(agent: Agent, folder: Path, args: argparse.Namespace, repo_id: str | None) -> None:
-    from zoo_configs.evaluating import EvalOptions
-    from zoo_configs.publishing.packing import pack
-
     print(f"{agent.label} on {agent.env_id}, model {agent.path}")
     options = EvalOptions(args.episodes, args.seed, env_kwargs=args.env_kwargs, progress=args.progress)
-    card = pack(agent, folder, options, device=args.device, repo_id=repo_id)
+    card = pack(agent, folder, options, args.device, repo_id)
     print(f"success_rate={card.success:.2f} episodes={card.episodes}")
 
 
 def _check_replaceable(folder: Path) -> None:
     """Check that a folder can be written: only an empty folder or that of an agent is replaced."""
-    from zoo_configs.publishing.published import CARD_FILE
-
     is_empty = folder.is_dir() and not any(folder.iterdir())
     if folder.exists() and not is_empty and not (folder / CARD_FILE).is_file():
         raise CommandError(f"--folder must be new, empty or an agent's ({CARD_FILE}), got {folder}")

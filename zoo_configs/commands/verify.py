@@ -1,35 +1,33 @@
 """``bulletarm-zoo verify``: trains the first updates of an agent again and compares checksums."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from zoo_configs.arguments import Parser, add_progress, whole_number
+from zoo_configs.agents import register_run
 from zoo_configs.errors import CommandError
+from zoo_configs.experiments.config import ExperimentConfig
+from zoo_configs.provenance import arithmetic
+from zoo_configs.publishing.published import find_published
+from zoo_configs.training.certificate import (
+    CHECKSUMS,
+    Certificate,
+    FirstUpdatesDone,
+    Row,
+    first_difference,
+    read_certificate,
+)
+from zoo_configs.training.options import TrainingOptions
+from zoo_configs.training.runs import Run, load_run
+from zoo_configs.training.train import train_run
 
-if TYPE_CHECKING:
-    from zoo_configs.training.certificate import Row
-    from zoo_configs.training.runs import Run
 
-DESCRIPTION = """Train the first updates of a run or of a published agent again, and compare checksums of its
-observations, replay buffer and parameters with those that were recorded in the training. They are equal with
-the same code, processor type and versions. The exit code is 2 if they differ."""
-
-
-def main(argv: Sequence[str]) -> None:
+def main(args: argparse.Namespace) -> None:
     """Run the command."""
-    args = _parse(argv)
-    from zoo_configs.agents import register_run
-    from zoo_configs.provenance import arithmetic
-    from zoo_configs.training.certificate import CHECKSUMS, first_difference, read_certificate
-    from zoo_configs.training.runs import load_run
-
     if args.published:
         run, certificate = _of_published(args)
     else:
@@ -49,44 +47,19 @@ def main(argv: Sequence[str]) -> None:
     print(f"equal after {', '.join(str(row['updates']) for row in recorded)} updates: {quantities}")
 
 
-def _parse(argv: Sequence[str]) -> argparse.Namespace:
-    parser = Parser("bulletarm-zoo verify", description=DESCRIPTION)
-    add = parser.add_argument
-    add("path", nargs="?", type=Path, metavar="RUN_FOLDER", help="run folder, as train prints it")
-    add("--published", metavar="TASK", help="verify the agent of the package, or a folder written by push")
-    add("--baseline", help="with --published: baseline of the agent")
-    add("--updates", type=whole_number(0), default=200, help="maximum number of updates (default: 200)")
-    add_progress(parser)
-    args = parser.parse_args(argv)
-    if (args.path is None) == (args.published is None):
-        parser.error("pass either a run folder or --published")
-    if args.baseline is not None and args.published is None:
-        parser.error("--baseline needs --published")
-    return args
-
-
 def _of_published(args: argparse.Namespace) -> tuple[Run, dict[str, Any]]:
-    from zoo_configs.experiments.config import ExperimentConfig
-    from zoo_configs.publishing.published import find_published
-    from zoo_configs.training.options import TrainingOptions
-    from zoo_configs.training.runs import Run
-
-    found = find_published(args.published, args.baseline)
-    card = found.card
+    card = find_published(args.published, args.baseline)
     if not card.certificate:
-        raise CommandError(f"{found.folder} has no certificate")
+        raise CommandError(f"{card.folder} has no certificate")
     experiment = ExperimentConfig(card.algo, card.env, dict(card.hyperparams), baseline=card.baseline)
     options = TrainingOptions(**card.certificate["options"])
     device = card.certificate["device"]
-    run = Run(found.folder, experiment, card.seed, device, options, card.gym_packages)
+    run = Run(card.folder, experiment, card.seed, device, options, card.gym_packages)
     return run, dict(card.certificate)
 
 
 def _repeat(run: Run, updates: int, progress: bool) -> Sequence[Row]:
     """Train the first updates of a run again, and return their checksums."""
-    from zoo_configs.training.certificate import CHECKSUMS, Certificate, FirstUpdatesDone, read_certificate
-    from zoo_configs.training.train import train_run
-
     options = replace(run.options, eval_freq=0, save_freq=0, tensorboard_log="", track=False, verbose=0)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "certificate.yml"

@@ -11,7 +11,7 @@ import pandas as pd
 
 from zoo_configs.errors import refused
 from zoo_configs.files import whole_file
-from zoo_configs.training.runs import CURVE_FILE, Run
+from zoo_configs.training.runs import Run
 
 PANEL_SIZE = (4.2, 3.2)  # inches, with text of 12 points: readable where two panels share 400 pixels
 FONT_SIZE = 12
@@ -63,12 +63,7 @@ def read_training_log(path: Path) -> pd.DataFrame:
 
 
 def mean_curve(curves: Sequence[LearningCurve]) -> LearningCurve:
-    """
-    Return the mean of runs, at each time step over the runs that were evaluated then.
-
-    :param curves: At least one curve; all have the same measure
-    :return: The mean and its standard error over runs; a single curve is returned unchanged
-    """
+    """Return the mean of runs with one measure, at each time step over the runs that were evaluated then."""
     if len(curves) == 1:
         return curves[0]
     table = pd.concat([pd.Series(curve.success, curve.timesteps) for curve in curves], axis=1).sort_index()
@@ -78,18 +73,13 @@ def mean_curve(curves: Sequence[LearningCurve]) -> LearningCurve:
 
 def draw_run(run: Run) -> Path:
     """Draw the learning curve of an evaluated run into its folder and return the figure."""
-    path = run.folder / CURVE_FILE
-    draw_curves({run.experiment.env_id: {run.experiment.label: load_curve(run.evaluations_file)}}, path)
-    return path
+    curves = {run.experiment.label: load_curve(run.evaluations_file)}
+    draw_curves({run.experiment.env_id: curves}, run.curve_file)
+    return run.curve_file
 
 
 def draw_curves(panels: Mapping[str, Mapping[str, LearningCurve]], path: Path) -> None:
-    """
-    Draw learning curves into one figure with a panel for each environment; shading is the standard error.
-
-    :param panels: Curves by environment and by label in the legend
-    :param path: File to write
-    """
+    """Draw learning curves by environment (panel) and label; shading is the standard error."""
     columns = min(len(panels), PANELS_A_ROW)
     rows = -(-len(panels) // columns)
     figure, grid = _subplots(rows, columns)
@@ -100,16 +90,14 @@ def draw_curves(panels: Mapping[str, Mapping[str, LearningCurve]], path: Path) -
     for axes, (title, curves) in zip(grid.flat, panels.items(), strict=False):
         for name, curve in curves.items():
             lines[name] = _draw(axes, curve, names.index(name))  # the same colour in all panels
-        _label(axes, title, curves)
+        axes.set(title=title, ylabel=next(iter(curves.values())).measure.removeprefix("evaluation "))
+        if all(curve.measure == SUCCESS for curve in curves.values()):
+            axes.set_ylim(-0.02, 1.02)
     _save(figure, lines, path)
 
 
 def draw_training(panels: Mapping[str, Mapping[str, Sequence[Path]]], path: Path) -> None:
-    """
-    Draw the means over runs of values and entropy into one figure, a row for each environment.
-
-    :param panels: Training logs (CSV) by environment and label
-    """
+    """Draw the means over runs of values and entropy, from training logs (CSV) by environment and label."""
     figure, grid = _subplots(len(panels), len(QUANTITIES))
     lines: dict[str, Any] = {}
     for row, (env_id, logs) in zip(grid, panels.items(), strict=True):
@@ -147,12 +135,6 @@ def _save(figure: Any, lines: Mapping[str, Any], path: Path) -> None:
     figure.legend(lines.values(), lines, loc="outside lower center", ncols=PANELS_A_ROW)
     with whole_file(path) as partial:
         figure.savefig(partial, dpi=DOTS_PER_INCH)
-
-
-def _label(axes: Any, title: str, curves: Mapping[str, LearningCurve]) -> None:
-    axes.set(title=title, ylabel=next(iter(curves.values())).measure.removeprefix("evaluation "))
-    if all(curve.measure == SUCCESS for curve in curves.values()):
-        axes.set_ylim(-0.02, 1.02)
 
 
 def _draw(axes: Any, curve: LearningCurve, number: int) -> Any:

@@ -23,11 +23,6 @@ def print_table(columns: Sequence[str], rows: Sequence[Sequence[str]], wrap: boo
 def markdown_table(
     columns: Sequence[str], rows: Sequence[Sequence[str]], rule: str = "---:", text_columns: int = 1
 ) -> str:
-    """
-    Return a Markdown table.
-
-    :param rule: Alignment of the other columns, by default to the right
-    :param text_columns: Number of columns from the left that are aligned left
-    """
+    """Return a Markdown table; ``rule`` aligns the columns after the first ``text_columns``."""
     rules = ["---"] * text_columns + [rule] * (len(columns) - text_columns)
     return "\n".join(f"| {' | '.join(cells)} |" for cells in (columns, rules, *rows))

@@ -78,10 +78,7 @@ def compose_frame(
 
 
 def draw_value_map(value_map: ValueMap) -> Image.Image:
-    """
-    Draw the values of all pixels, bright where high, and a ring around the selected pixel with a line in the
-    direction in which the fingers close.
-    """
+    """Draw the values of all pixels and mark the selected one, with a line along which the fingers close."""
     values, (row, column), yaw = value_map
     low, high = float(values.min()), float(values.max())
     panel = _resize(Image.fromarray(colour((values - low) / max(high - low, 1e-6))), NEAREST)

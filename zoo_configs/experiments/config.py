@@ -18,14 +18,13 @@ class ExperimentConfig:
     """
     An experiment without its seed: everything that training needs.
 
-    :param algo: Name of the algorithm
-    :param env_id: Id of the environment
     :param hyperparams: Hyperparameters, as in a section of rl_zoo3's YAML files
     :param flags: Defaults for flags of ``train``, by option name
     :param baseline: The baseline, None for hyperparameters from elsewhere
     :param preset: The preset, None for hyperparameters from elsewhere
     :param benchmark: The benchmark that defines the task's parameters, None for another task
     :param overrides: Hyperparameters that replace those of the baseline
+    :param sources: Layers that define the values, by dotted name such as ``hyperparams.gamma``
     """
 
     algo: str
@@ -36,6 +35,7 @@ class ExperimentConfig:
     preset: str | None = None
     benchmark: str | None = None
     overrides: dict[str, Any] = field(default_factory=dict)
+    sources: dict[str, Layer] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def label(self) -> str:
@@ -44,8 +44,13 @@ class ExperimentConfig:
 
     def overridden(self, overrides: Mapping[str, Any]) -> "ExperimentConfig":
         """Return the experiment with hyperparameters that replace its own; mappings are merged."""
-        merged = merge(self.hyperparams, overrides)
-        return replace(self, hyperparams=merged, overrides=merge(self.overrides, overrides))
+        sources = {name: OVERRIDES for name, _ in leaves({"hyperparams": overrides})}
+        return replace(
+            self,
+            hyperparams=merge(self.hyperparams, overrides),
+            overrides=merge(self.overrides, overrides),
+            sources={**self.sources, **sources},
+        )
 
 
 def resolve(
@@ -60,38 +65,24 @@ def resolve(
 
     :param baseline: A baseline, for example ``"equi_sacfd"``
     :param preset: ``"cpu"``, ``"paper"`` or, for closed-loop tasks, ``"quick"``
-    :param env_id: Id of the environment
     :param overrides: Hyperparameters that replace all others; mappings are merged
     :param benchmark: The benchmark that defines the task's parameters; None for the first that fits
-    :return: The experiment
     :raises CommandError: for an unknown name, or a benchmark without the task or the network
     """
-    return explain(baseline, preset, env_id, overrides, benchmark)[0]
-
-
-def explain(
-    baseline: str,
-    preset: str,
-    env_id: str,
-    overrides: Mapping[str, Any] | None = None,
-    benchmark: str | None = None,
-) -> tuple[ExperimentConfig, dict[str, Layer]]:
-    """Return an experiment as :func:`resolve` does, and the layer of each value by dotted name."""
     family = family_of(env_id)
-    case = family.case(baseline, preset, env_id, benchmark)
-    overrides = copy.deepcopy(dict(overrides or {}))
+    benchmark = family.benchmark_of(baseline, preset, env_id, benchmark)
     merged: dict[str, Any] = {"hyperparams": {}, "flags": {}}
     sources: dict[str, Layer] = {}
-    for layer in [*family.layers(case), OVERRIDES._replace(values={"hyperparams": overrides})]:
+    for layer in family.layers(baseline, preset, env_id, benchmark):
         _merge_into(merged, layer.values)
         sources.update({name: layer for name, _ in leaves(layer.values)})
-    hyperparams, flags = merged["hyperparams"], merged["flags"]
-    for name, parameter in _follow_environment(hyperparams, overrides):
-        sources[f"hyperparams.{name}"] = sources[f"hyperparams.env_kwargs.{parameter}"]
-    experiment = ExperimentConfig(
-        merged["algo"], env_id, hyperparams, flags, baseline, preset, case.benchmark, overrides
+    names: dict[str, Any] = {"baseline": baseline, "preset": preset, "benchmark": benchmark}
+    experiment = ExperimentConfig(**merged, env_id=env_id, **names, sources=sources).overridden(
+        overrides or {}
     )
-    return experiment, sources
+    for name, parameter in _follow_environment(experiment.hyperparams, experiment.overrides):
+        experiment.sources[f"hyperparams.{name}"] = experiment.sources[f"hyperparams.env_kwargs.{parameter}"]
+    return experiment
 
 
 def leaves(mapping: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -162,17 +153,8 @@ def _at(mapping: Mapping[str, Any], name: str) -> dict[str, Any]:
 
 
 def explained_yaml(experiment: ExperimentConfig, options: Mapping[str, Any], given: Mapping[str, Any]) -> str:
-    """
-    Return an experiment with the sources of its values, as YAML that ``train --conf-file`` reads as well.
-
-    :param options: Options of the training by name
-    :param given: Those that the command line defines
-    """
-    sources = {f"hyperparams.{name}": OVERRIDES for name in experiment.overrides}
-    if experiment.baseline is not None and experiment.preset is not None:
-        names = (experiment.baseline, experiment.preset, experiment.env_id)
-        _, sources = explain(*names, experiment.overrides, experiment.benchmark)
-    sources = {"hyperparams": DEFAULT, "algo": OVERRIDES, "flags": DEFAULT, **sources}
+    """Return an experiment and options, some ``given`` by flags, as YAML with the source of each value."""
+    sources = {"hyperparams": DEFAULT, "algo": OVERRIDES, "flags": DEFAULT, **experiment.sources}
     sources.update({f"flags.{name}": OVERRIDES for name in given})
     lines = [_line("algo", experiment.algo, sources["algo"]), f"{experiment.env_id}:"]
     lines += _lines(experiment.hyperparams, "hyperparams", sources)

@@ -26,29 +26,8 @@ class Baseline(NamedTuple):
     additions: tuple[str, ...] = ()
 
 
-class Case(NamedTuple):
-    """The names that select the layers of an experiment; the benchmark is None for other tasks."""
-
-    preset: str
-    env_id: str
-    benchmark: str | None
-    baseline: Baseline
-
-    @property
-    def names(self) -> tuple[tuple[str, ...], ...]:
-        """The names on each of ``AXES``."""
-        learner, network, additions = self.baseline
-        return (self.benchmark or "none",), (network,), (learner,), additions, (task_name(self.env_id),)
-
-
 class Layer(NamedTuple):
-    """
-    Values of one section of a configuration file.
-
-    :param source: The file and the section
-    :param values: ``algo``, ``hyperparams`` and ``flags``, merged with those of earlier layers
-    :param why: The reason, or the source of the numbers
-    """
+    """``algo``, ``hyperparams`` and ``flags`` of a section of a file, and why they have these values."""
 
     source: str
     values: Mapping[str, Any]
@@ -63,9 +42,7 @@ class Family:
     :param name: Name of the file without its suffix
     :param envs: Shell pattern of the ids
     :param benchmarks: Networks by benchmark; without a choice, the first benchmark with the task applies
-    :param baselines: Baselines by name
     :param algorithms: Baselines for an algorithm without one of its name; the first for the task applies
-    :param sections: The sections by key
     """
 
     name: str
@@ -86,67 +63,67 @@ class Family:
 
     def has_experiment(self, baseline: str, env_id: str, benchmark: str | None = None) -> bool:
         """Return True if a baseline serves a task in a benchmark, None for any. All serve other tasks."""
-        networks = self._networks(env_id)
-        chosen = [serving for name, serving in networks.items() if benchmark in (None, name)]
-        return not networks or any(self.baselines[baseline].network in serving for serving in chosen)
+        return not self._networks(env_id) or bool(self._fitting(baseline, env_id, benchmark))
 
-    def case(self, baseline: str, preset: str, env_id: str, benchmark: str | None = None) -> Case:
-        """Return the names of an experiment; raise ``CommandError`` if one is unknown or does not fit."""
+    def benchmark_of(self, baseline: str, preset: str, env_id: str, wanted: str | None = None) -> str | None:
+        """Return the benchmark of a task's parameters, if any; raise ``CommandError`` if names do not fit."""
         for kind, name, valid in (("baseline", baseline, self.baselines), ("preset", preset, self.presets)):
             others = [family.envs for family in families() if name in (*family.baselines, *family.presets)]
             if name not in valid and others:
                 raise CommandError(f"{kind} {name!r} is for {' or '.join(others)}, not for {env_id}")
             check_names(kind, [name], valid)
-        check_names("benchmark", filter(None, [benchmark]), BENCHMARKS)
-        parts = self.baselines[baseline]
-        return Case(preset, env_id, self._choose(parts.network, env_id, benchmark), parts)
-
-    def _choose(self, network: str, env_id: str, wanted: str | None) -> str | None:
-        """Return the benchmark that defines a task's parameters, None for a task of no benchmark."""
-        networks = self._networks(env_id)
+        check_names("benchmark", filter(None, [wanted]), BENCHMARKS)
+        networks, fitting = self._networks(env_id), self._fitting(baseline, env_id, wanted)
         if wanted is not None and wanted not in networks:
             names = ", ".join(networks) or "none"
             raise CommandError(f"benchmark must be one of those with {env_id} ({names}), got {wanted!r}")
-        fitting = [name for name in networks if network in networks[name] and wanted in (None, name)]
         if networks and not fitting:
+            network = self.baselines[baseline].network
             raise CommandError(
                 f"network {network!r} does not fit {env_id}. Networks by benchmark: {networks}"
             )
         return fitting[0] if fitting else None
+
+    def _fitting(self, baseline: str, env_id: str, wanted: str | None) -> list[str]:
+        """Return the benchmarks, None for any, in which a baseline serves a task."""
+        network, networks = self.baselines[baseline].network, self._networks(env_id)
+        return [name for name in networks if network in networks[name] and wanted in (None, name)]
 
     def _networks(self, env_id: str) -> dict[str, Sequence[str]]:
         """Return the networks by benchmark with a task."""
         ids = {name: {row.env_id for row in BENCHMARKS[name].environments} for name in self.benchmarks}
         return {name: networks for name, networks in self.benchmarks.items() if env_id in ids[name]}
 
-    def layers(self, case: Case) -> Iterator[Layer]:
+    def layers(self, baseline: str, preset: str, env_id: str, benchmark: str | None) -> Iterator[Layer]:
         """Yield the layers of an experiment in the order of merging."""
-        yield Layer("name of the baseline", {"algo": case.baseline.learner})
-        yield from _layers(self.sections.get("defaults", {}), case, f"{self.name}.yml, defaults")
-        if case.benchmark is not None:
-            table = BENCHMARKS[case.benchmark]
-            [row] = (environment for environment in table.environments if environment.env_id == case.env_id)
+        learner, network, additions = self.baselines[baseline]
+        names = ((benchmark or "none",), (network,), (learner,), additions, (task_name(env_id),))
+        yield Layer("name of the baseline", {"algo": learner})
+        yield from _layers(self.sections.get("defaults", {}), names, f"{self.name}.yml, defaults")
+        if benchmark is not None:
+            table = BENCHMARKS[benchmark]
+            [row] = (environment for environment in table.environments if environment.env_id == env_id)
             values = {"env_kwargs": table.make_kwargs(row), "expert_episodes": row.expert_episodes}
-            yield Layer(f"bulletarm_gym.benchmarks, {case.benchmark}", {"hyperparams": values})
-        yield from _layers({axis: self.sections.get(axis, {}) for axis in AXES}, case, f"{self.name}.yml, ")
-        preset = self.sections["presets"][case.preset]
-        yield from _layers(preset, case, f"{self.name}.yml, presets.{case.preset}")
+            yield Layer(f"bulletarm_gym.benchmarks, {benchmark}", {"hyperparams": values})
+        yield from _layers({axis: self.sections.get(axis, {}) for axis in AXES}, names, f"{self.name}.yml, ")
+        section = self.sections["presets"][preset]
+        yield from _layers(section, names, f"{self.name}.yml, presets.{preset}")
 
 
-def _layers(section: Any, case: Case, source: str) -> Iterator[Layer]:
-    """Return the layers of a section, or of a list of sections, in the order of merging."""
+def _layers(section: Any, names: Sequence[Sequence[str]], source: str) -> Iterator[Layer]:
+    """Yield the layers of a section, or of a list of sections; ``names`` are those on each of ``AXES``."""
     if isinstance(section, list):
         for part in section:
-            yield from _layers(part, case, source)
+            yield from _layers(part, names, source)
         return
     check_names(f"key of {source}", section, ("why", *VALUE_KEYS.values(), *AXES))
     if values := {name: section[key] for name, key in VALUE_KEYS.items() if key in section}:
         yield Layer(source, values, " ".join(section.get("why", "").split()))
-    for axis, names in zip(AXES, case.names, strict=True):
-        for name in names:
+    for axis, chosen in zip(AXES, names, strict=True):
+        for name in chosen:
             if name in section.get(axis, {}):
                 inner = f"{source}.{axis}.{name}".replace(", .", ", ")
-                yield from _layers(section[axis][name], case, inner)
+                yield from _layers(section[axis][name], names, inner)
 
 
 def task_name(env_id: str) -> str:

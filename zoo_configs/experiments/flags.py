@@ -9,7 +9,7 @@ from zoo_configs.arguments import add_env_kwargs, add_key_values
 from zoo_configs.environments import known_env_id, package_of
 from zoo_configs.errors import CommandError, unknown_name
 from zoo_configs.experiments.config import ExperimentConfig, merge, resolve
-from zoo_configs.experiments.families import families
+from zoo_configs.experiments.families import Layer, families
 from zoo_configs.files import read_yaml
 
 EXTRACTOR = "sb3_extensions.encoders.extractors.CnnExtractor"
@@ -34,11 +34,7 @@ def add_experiment_flags(parser: argparse.ArgumentParser) -> None:
 
 
 def find_experiment(args: argparse.Namespace) -> ExperimentConfig:
-    """
-    Return the experiment that the flags name: of a file, a baseline, or an algorithm's defaults.
-
-    :raises CommandError: if the flags name none
-    """
+    """Return the experiment of a file, a baseline or an algorithm; raise ``CommandError`` without any."""
     if args.env is None:
         raise CommandError("name an environment with --env, see bulletarm-zoo list")
     env_id = known_env_id(args.env)
@@ -129,4 +125,4 @@ def _experiment_from_file(path: Path, algo: str, env_id: str) -> ExperimentConfi
     section = sections.get(env_id, sections.get("default")) if isinstance(sections, dict) else None
     if not isinstance(section, dict):
         raise CommandError(f"{path} must have a section {env_id!r} or 'default'")
-    return ExperimentConfig(algo, env_id, section)
+    return ExperimentConfig(algo, env_id, section, sources={"hyperparams": Layer(str(path), {})})

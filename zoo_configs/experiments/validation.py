@@ -7,10 +7,10 @@ from typing import Any
 
 import gymnasium as gym
 
-from sb3_extensions.common.env_metadata import constructor_keys
+from sb3_extensions.common.env_metadata import constructor_arguments
 from sb3_extensions.replay.rotation import make_augmentation
 from sb3_extensions.replay.sampling import make_sampler
-from zoo_configs.algorithms import algorithm_classes, class_from_path, constructor_arguments
+from zoo_configs.algorithms import algorithm_classes, class_from_path
 from zoo_configs.environments import load_expert_data
 from zoo_configs.errors import CommandError, check_names, refused, unknown_name
 from zoo_configs.experiments.config import ExperimentConfig
@@ -74,7 +74,7 @@ def check_experiment(experiment: ExperimentConfig) -> None:
         if name in experiment.hyperparams and not is_valid(experiment.hyperparams[name]):
             raise CommandError(f"{name} must be {constraint}, got {experiment.hyperparams[name]!r}")
     algorithm = algorithms[experiment.algo]
-    valid = {"policy", *TRAINER_KEYS, *constructor_keys(algorithm)} - RESERVED_KEYS
+    valid = {"policy", *TRAINER_KEYS, *constructor_arguments(algorithm)} - RESERVED_KEYS
     check_names(f"hyperparameter of {experiment.algo}", experiment.hyperparams, valid)
     for key in ("n_timesteps", "policy"):
         if key not in experiment.hyperparams:
@@ -118,7 +118,7 @@ def _check_policy_kwargs(policy: Any, policy_kwargs: Any) -> None:
     """Check the names of arguments, unless they are a Python expression."""
     if not isinstance(policy_kwargs, Mapping):
         return
-    check_names(f"policy_kwargs of {policy.__name__}", policy_kwargs, constructor_keys(policy))
+    check_names(f"policy_kwargs of {policy.__name__}", policy_kwargs, constructor_arguments(policy))
     parameter = constructor_arguments(policy).get("features_extractor_class")
     default = getattr(policy, "default_extractor", object if parameter is None else parameter.default)
     extractor = policy_kwargs.get("features_extractor_class", default)
@@ -129,7 +129,7 @@ def _check_policy_kwargs(policy: Any, policy_kwargs: Any) -> None:
         raise CommandError(f"features_extractor_class must be the import path of a class, got {extractor!r}")
     if not isinstance(given, Mapping):
         raise CommandError(f"features_extractor_kwargs must be a mapping of arguments, got {given!r}")
-    check_names(f"features_extractor_kwargs of {extractor.__name__}", given, constructor_keys(extractor))
+    check_names(f"features_extractor_kwargs of {extractor.__name__}", given, constructor_arguments(extractor))
 
 
 def _check_replay_buffer(algorithm: type[Any], hyperparams: Mapping[str, Any]) -> None:
@@ -139,7 +139,7 @@ def _check_replay_buffer(algorithm: type[Any], hyperparams: Mapping[str, Any]) -
     if isinstance(path, str):
         buffer = _imported("replay buffer", path)
     if buffer is not None and isinstance(kwargs, Mapping):
-        valid = constructor_keys(buffer) - set(getattr(algorithm, "own_buffer_arguments", ()))
+        valid = constructor_arguments(buffer).keys() - set(getattr(algorithm, "own_buffer_arguments", ()))
         check_names(f"replay_buffer_kwargs of {buffer.__name__}", kwargs, valid)
         with refused("replay_buffer_kwargs"):
             make_sampler(kwargs.get("sampler"))

@@ -42,8 +42,6 @@ def save_compact(model: BaseAlgorithm, path: Path, half: bool = True) -> str:
 
     Target networks are stored as the networks that they follow, an actor with an average as its average.
 
-    :param model: The agent
-    :param path: The file, ``.zip``
     :param half: Whether to store weights in bfloat16, if the network computes in it, or else in float16
     :return: Data type of the stored weights
     """

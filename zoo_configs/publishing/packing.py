@@ -24,7 +24,6 @@ from zoo_configs.training.certificate import read_certificate
 from zoo_configs.training.runs import Run, day, env_folder_name, origin_of
 
 WRAPPERS = ("normalize", "frame_stack", "vec_env_wrapper", "env_wrapper")
-
 REINFORCEMENT_LEARNING = "reinforcement-learning"
 TAGS = ("deep-reinforcement-learning", REINFORCEMENT_LEARNING, "stable-baselines3", "robotics", "bulletarm")
 PAGE = """---
@@ -58,8 +57,8 @@ The loaded agent acts and can be trained further.
 |---|---|
 | model | the {card.model} of the run, {card.timesteps} time steps |
 | seed | {card.seed} |
-| trained | {card.date}, {trained_with}{card.machine}{minutes} |
-| evaluated | {measured[date]}, {tested_with}{measured[machine]}, scenes of `--seed {card.test_seed}` |
+| trained | {card.date}, commit {card.commit}, {card.machine}{minutes} |
+| evaluated | {evaluated}, scenes of `--seed {card.test_seed}` |
 | versions | {versions} |
 
 ## Hyperparameters
@@ -91,27 +90,12 @@ def check_publishable(run: Run) -> None:
         raise CommandError(f"{run.experiment.env_id} does not report is_success, which a card needs")
 
 
-def pack(
-    agent: Agent,
-    folder: Path,
-    options: EvalOptions,
-    *,
-    device: str = "auto",
-    repo_id: str | None = None,
-) -> Card:
+def pack(agent: Agent, folder: Path, options: EvalOptions, device: str, repo_id: str | None) -> Card:
     """
-    Write the folder of an agent: model file, card and page.
+    Write model file, card and page of the agent of a run, for a repository or for a folder; return the card.
 
     Weights are stored in half precision, unless the success rate of the stored agent on the same scenes is
     below the 95 % interval of the agent's own.
-
-    :param agent: Agent of a run
-    :param folder: Existing folder
-    :param options: Options of the test
-    :param device: PyTorch device
-    :param repo_id: Repository for which the page is written
-    :return: The card
-    :raises CommandError: if the agent cannot be tested
     """
     assert agent.run is not None
     run = agent.run
@@ -126,14 +110,14 @@ def pack(
     if outcome.success_rate < evaluate_agent(agent, options).interval[0]:
         print("half precision lowers the success rate: the weights are stored in float32")
         weights, outcome = store(half=False)
-    card = _card(agent, run, options, outcome, name, weights)
-    card.write(folder)
+    card = _card(agent, run, options, outcome, folder / name, weights)
+    card.write()
     with whole_file(folder / "README.md") as partial:
         partial.write_text(render_readme(card, repo_id), encoding="utf-8")
     return card
 
 
-def _card(agent: Agent, run: Run, options: EvalOptions, outcome: Outcome, file: str, weights: str) -> Card:
+def _card(agent: Agent, run: Run, options: EvalOptions, outcome: Outcome, file: Path, weights: str) -> Card:
     low, high = outcome.interval
     here = {"commit": commit(), "machine": describe_processor(), **arithmetic()}
     return Card(
@@ -143,10 +127,10 @@ def _card(agent: Agent, run: Run, options: EvalOptions, outcome: Outcome, file: 
         seed=run.seed,
         model="best" if agent.path == run.best_model else "last",
         timesteps=agent.model.num_timesteps,
-        file=file,
+        file=file.name,
         weights=weights,
         success=round(outcome.success_rate, 4),
-        episodes=outcome.episodes,
+        episodes=options.episodes,
         interval=(round(low, 4), round(high, 4)),
         mean_return=round(float(np.mean(outcome.returns)), 4),
         std_return=round(float(np.std(outcome.returns)), 4),
@@ -157,6 +141,7 @@ def _card(agent: Agent, run: Run, options: EvalOptions, outcome: Outcome, file: 
         hyperparams=run.experiment.hyperparams,
         gym_packages=run.gym_packages,
         certificate=_certificate(run),
+        folder=file.parent,
         **asdict(origin_of(run)),
     )
 
@@ -183,24 +168,18 @@ def _certificate(run: Run) -> Mapping[str, Any]:
 def render_readme(card: Card, repo_id: str | None = None) -> str:
     """Return the page of an agent, for a repository on the hub or for a folder."""
     algorithm = algorithm_classes()[card.algo]
-    labels = [card.baseline or card.algo, *([f"preset {card.preset}"] if card.preset else [])]
+    labels = [card.label, *([f"preset {card.preset}"] if card.preset else [])]
     return PAGE.format(
         card=card,
-        measured=card.measured,
+        evaluated="{date}, commit {commit}, {machine}".format_map(card.measured),
         name=algorithm.__name__,
         label=", ".join(labels),
         metadata=yaml.safe_dump(_metadata(card, algorithm.__name__), sort_keys=False),
         snippet=_snippet(card, algorithm, repo_id),
-        trained_with=_commit(card.commit),
-        tested_with=_commit(card.measured["commit"]),
         minutes="" if card.minutes is None else f", {card.minutes:.0f} minutes",
         versions=", ".join(f"{package} {version}" for package, version in card.versions.items()),
         hyperparams=yaml.safe_dump(dict(card.hyperparams), sort_keys=False),
     )
-
-
-def _commit(commit: str) -> str:
-    return f"commit {commit}, " if commit else ""
 
 
 def _metadata(card: Card, name: str) -> dict[str, Any]:

@@ -5,7 +5,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from zoo_configs.errors import CommandError, check_names, refused, unknown_name
 from zoo_configs.experiments.families import task_name
@@ -20,31 +20,18 @@ SUCCEEDED, FAILED = "1", "0"
 @dataclass(frozen=True)
 class Card(Origin):
     """
-    Description of an agent, and of the origin of its run.
+    Description of an agent, and of the experiment and the origin of its run.
 
-    :param env: Id of the environment
-    :param env_kwargs: Parameters of the environment
-    :param algo: Name of the algorithm
-    :param baseline: Baseline; None for other hyperparameters
-    :param preset: Preset
-    :param benchmark: Benchmark whose parameters the task has
-    :param seed: Seed of the training
     :param model: ``"best"`` (by the evaluations of the run) or ``"last"``
-    :param timesteps: Time steps of the training
     :param file: Name of the model file
     :param weights: Data type of the stored weights
     :param success: Success rate of the stored agent with its deterministic policy on test scenes
-    :param episodes: Number of test episodes
     :param interval: Wilson's 95 % interval of the success rate
-    :param mean_return: Mean return of the test episodes
-    :param std_return: Standard deviation of the returns
     :param test_seed: Seed of the test scenes (``enjoy --seed``)
     :param outcomes: One character for each test episode: 1 for success, 0 for failure
     :param evaluations: Evaluations of the run: ``episodes`` and lists ``timesteps`` and ``success``
     :param measured: ``date``, ``commit``, ``machine``, ``arithmetic`` and ``versions`` of the test; if
         ``arithmetic`` and ``versions`` are equal, so are the outcomes
-    :param hyperparams: Hyperparameters of the training
-    :param gym_packages: Packages that register the environment, in addition to ours
     :param certificate: Checksums of the first updates (:mod:`zoo_configs.training.certificate`)
     """
 
@@ -71,16 +58,23 @@ class Card(Origin):
     hyperparams: Mapping[str, Any]
     gym_packages: tuple[str, ...] = ()
     certificate: Mapping[str, Any] = field(default_factory=dict)
+    folder: Path = Path()
 
     @property
     def label(self) -> str:
         """Baseline or, without one, algorithm."""
         return self.baseline or self.algo
 
-    def write(self, folder: Path) -> None:
-        """Write the card atomically to a folder."""
-        with whole_file(folder / CARD_FILE) as partial:
-            partial.write_text(json.dumps(dataclasses.asdict(self), indent=1) + "\n", encoding="utf-8")
+    @property
+    def model_file(self) -> Path:
+        """Model file that ``load()`` of the algorithm reads."""
+        return self.folder / self.file
+
+    def write(self) -> None:
+        """Write the card atomically to its folder, which it does not name."""
+        content = {name: value for name, value in dataclasses.asdict(self).items() if name != "folder"}
+        with whole_file(self.folder / CARD_FILE) as partial:
+            partial.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
 def read_card(folder: Path) -> Card:
@@ -91,46 +85,32 @@ def read_card(folder: Path) -> Card:
     with refused(f"{path} cannot be read"):
         content = json.loads(path.read_text(encoding="utf-8"))
         content["gym_packages"] = tuple(content.get("gym_packages", ()))
-        return Card(**{**content, "interval": tuple(content["interval"])})
+        return Card(**{**content, "interval": tuple(content["interval"]), "folder": folder})
 
 
-class Published(NamedTuple):
-    """Folder and card of a published agent."""
-
-    folder: Path
-    card: Card
-
-    @property
-    def model_file(self) -> Path:
-        """Model file that ``load()`` of the algorithm reads."""
-        return self.folder / self.card.file
+def published_agents() -> list[Card]:
+    """Return the cards of the agents of the package, sorted by task and baseline."""
+    return [read_card(path.parent) for path in sorted(PUBLISHED_FOLDER.glob(f"*/*/{CARD_FILE}"))]
 
 
-def published_agents(folder: Path = PUBLISHED_FOLDER) -> list[Published]:
-    """Return the published agents in a folder, sorted by task and baseline."""
-    cards = sorted(folder.glob(f"*/*/{CARD_FILE}"))
-    return [Published(card.parent, read_card(card.parent)) for card in cards]
-
-
-def find_published(name: str, baseline: str | None = None) -> Published:
+def find_published(name: str, baseline: str | None = None) -> Card:
     """
-    Find a published agent.
+    Return the card of a published agent.
 
     :param name: Id of an environment, also without namespace and version; or a folder that ``push --folder``
         wrote or that was downloaded from the hub
     :param baseline: Its baseline; None selects the agent with the highest success rate
-    :return: The agent
     :raises CommandError: for an unknown name; suggests the nearest one
     """
     if (Path(name) / CARD_FILE).is_file():
-        agents = [Published(Path(name), read_card(Path(name)))]
+        cards = [read_card(Path(name))]
     else:
-        env_ids = {task_name(agent.card.env): agent.card.env for agent in published_agents()}
+        env_ids = {task_name(card.env): card.env for card in published_agents()}
         env_id = env_ids.get(name, name.rpartition(":")[2])
-        agents = [agent for agent in published_agents() if agent.card.env == env_id]
-        if not agents:
+        cards = [card for card in published_agents() if card.env == env_id]
+        if not cards:
             raise unknown_name("published agent", name, env_ids)
-    labels = [agent.card.label for agent in agents]
+    labels = [card.label for card in cards]
     check_names(f"baseline of the published agents on {name}:", filter(None, [baseline]), labels)
-    fitting = [agent for agent in agents if baseline in (None, agent.card.label)]
-    return max(fitting, key=lambda agent: agent.card.success)
+    fitting = [card for card in cards if baseline in (None, card.label)]
+    return max(fitting, key=lambda card: card.success)

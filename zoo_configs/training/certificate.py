@@ -34,7 +34,6 @@ class Certificate(BaseCallback):
     Off-policy algorithms are recorded at the first rollout after each number in ``UPDATES``. A resumed run
     keeps the checksums before its checkpoint.
 
-    :param path: The file
     :param stop_after: Updates after which :class:`FirstUpdatesDone` is raised, None to continue
     """
 

@@ -13,9 +13,9 @@ from stable_baselines3.common.vec_env import VecEnv, sync_envs_normalization
 
 from sb3_extensions.equivariant.layers import expanded_filters
 from zoo_configs.drawing.curves import TIMESTEPS, read_training_log
+from zoo_configs.environments import SeedStream, stream_seed
 from zoo_configs.files import whole_file
 from zoo_configs.training.runs import Run
-from zoo_configs.training.seeds import SeedStream, stream_seed
 
 PREFIX = "train/"
 
@@ -29,8 +29,6 @@ class PeriodicEvaluation(BaseCallback):
     atomically. A resumed run keeps the evaluations before its checkpoint. The pretraining is evaluated as
     well, with a negative time step: minus the number of its remaining gradient steps.
 
-    :param run: The run
-    :param env: Environments for evaluation
     :param verbose: 1 prints a line for each evaluation
     """
 
@@ -126,7 +124,6 @@ class TrainingLog(BaseCallback):
     Rows with a negative time step belong to the pretraining. The file is written atomically. A resumed run
     keeps the rows before its checkpoint.
 
-    :param path: The CSV file
     :param freq: Time steps of all environments between two rows
     """
 

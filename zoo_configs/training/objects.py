@@ -10,7 +10,6 @@ import numpy as np
 import torch as th
 from gymnasium import spaces
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.noise import ActionNoise, NormalActionNoise, OrnsteinUhlenbeckActionNoise
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv, VecFrameStack, VecNormalize
@@ -18,9 +17,10 @@ from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv,
 from zoo_configs.algorithms import class_from_path
 from zoo_configs.errors import check_names
 
-ENV_KEYS = ("env_kwargs", "env_wrapper", "frame_stack", "monitor_kwargs", "normalize", "vec_env_wrapper")
-"""Hyperparameters of the environments."""
-TRAINER_KEYS = (*ENV_KEYS, "callback", "n_envs", "n_timesteps", "noise_std", "noise_type")
+TRAINER_KEYS = (
+    *("env_kwargs", "env_wrapper", "frame_stack", "monitor_kwargs", "normalize", "vec_env_wrapper"),
+    *("callback", "n_envs", "n_timesteps", "noise_std", "noise_type"),
+)
 """Hyperparameters that are not constructor arguments of an algorithm, with rl_zoo3's names."""
 SCHEDULES = ("learning_rate", "clip_range", "clip_range_vf", "delta_std")
 SCHEDULE = re.compile(r"(lin_)(.+)")
@@ -31,7 +31,6 @@ NAMES = {"__builtins__": {}, "dict": dict, "nn": th.nn, "th": th}
 """Names that such an expression can use."""
 DOTTED_PATH = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)+")
 NOISES: dict[str, Any] = {"normal": NormalActionNoise, "ornstein-uhlenbeck": OrnsteinUhlenbeckActionNoise}
-
 VEC_ENVS: dict[str, type[DummyVecEnv | SubprocVecEnv]] = {"dummy": DummyVecEnv, "subproc": SubprocVecEnv}
 
 
@@ -47,11 +46,7 @@ class LinearSchedule:
 
 
 def parsed(hyperparams: Mapping[str, Any]) -> dict[str, Any]:
-    """
-    Return a copy of YAML hyperparameters with schedules, classes and tuples instead of their descriptions.
-
-    Wrappers, callbacks and noise stay as they are.
-    """
+    """Return a copy of YAML hyperparameters with schedules, classes and tuples for their descriptions."""
     values = {key: _evaluate(value) if key in EVALUATED else value for key, value in hyperparams.items()}
     for key in ("policy_kwargs", "replay_buffer_class", "replay_buffer_kwargs"):
         if key in values:
@@ -84,12 +79,11 @@ def import_classes(value: Any, is_class: bool = False) -> Any:
 
 def wrapper(description: Any) -> Callable[[Any], Any] | None:
     """
-    Return a function that wraps environments.
+    Return a function that wraps environments, None if nothing is described.
 
     :param description: None, an import path, a mapping from one path to arguments, or a list of these
-    :return: The function, None if nothing is described
     """
-    classes = _described_classes(description)
+    classes = described_classes(description)
 
     def wrap(env: Any) -> Any:
         for cls, kwargs in classes:
@@ -99,12 +93,8 @@ def wrapper(description: Any) -> Callable[[Any], Any] | None:
     return wrap if classes else None
 
 
-def callbacks(description: Any) -> list[BaseCallback]:
-    """Return the callbacks of the hyperparameter ``callback``, described as for :func:`wrapper`."""
-    return [cls(**kwargs) for cls, kwargs in _described_classes(description)]
-
-
-def _described_classes(description: Any) -> list[tuple[type[Any], dict[str, Any]]]:
+def described_classes(description: Any) -> list[tuple[type[Any], dict[str, Any]]]:
+    """Return the classes and their arguments of a description as for :func:`wrapper`."""
     if description is None:
         return []
     entries = description if isinstance(description, list) else [description]
@@ -133,18 +123,12 @@ def build_vec_env(
     statistics: Path | None = None,
 ) -> VecEnv:
     """
-    Build the environments of an experiment.
+    Build and wrap the environments of an experiment.
 
-    :param env_id: Id of the environment
-    :param hyperparams: Hyperparameters of the experiment, of which those of the environments count
-    :param n_envs: Number of environments
     :param seed: Seed of the first environment
     :param vec_env: ``"dummy"`` or ``"subproc"``
     :param for_evaluation: Whether normalisation keeps its statistics and leaves rewards as they are
-    :param monitor_dir: Folder of monitor files
     :param override_existing: Whether new monitor files replace existing ones
-    :param statistics: File with normalisation statistics to load
-    :return: The wrapped environments
     """
     values = parsed(hyperparams)
     monitor_kwargs = {**values.get("monitor_kwargs", {}), "override_existing": override_existing}

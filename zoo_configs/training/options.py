@@ -1,21 +1,16 @@
 """Options of a training: flags of rl_zoo3's ``train`` as a dataclass and as flags of our commands."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Mapping
-from dataclasses import Field, asdict, dataclass, field, fields
+from dataclasses import Field, dataclass, field, fields
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from zoo_configs.arguments import whole_number
 from zoo_configs.errors import CommandError, check_names
+from zoo_configs.experiments.config import ExperimentConfig
 
-if TYPE_CHECKING:
-    from zoo_configs.experiments.config import ExperimentConfig
-
-VEC_ENVS = ("dummy", "subproc")
 PACKAGES = {"tensorboard_log": ("tensorboard",), "track": ("wandb", "tensorboard")}
 """Optional packages, by the option that needs them."""
 
@@ -41,7 +36,9 @@ class TrainingOptions:
     eval_episodes: int = _option(5, "episodes of an evaluation", type=whole_number(1))
     n_eval_envs: int = _option(1, "environments of an evaluation", type=whole_number(1))
     save_freq: int = _option(-1, "time steps between two checkpoints, 0 for none", type=int)
-    vec_env: str = _option("dummy", "all environments in one process, or one process each", choices=VEC_ENVS)
+    vec_env: str = _option(
+        "dummy", "all environments in one process, or one process each", choices=("dummy", "subproc")
+    )
     num_threads: int = _option(-1, "threads of PyTorch (default: PyTorch's own number)", type=whole_number(1))
     trained_agent: str = _option("", "model file to start from", "-i")
     tensorboard_log: str = _option("", "folder for TensorBoard", "-tb")
@@ -53,25 +50,17 @@ class TrainingOptions:
             _check(item, getattr(self, item.name))
         for name, packages in PACKAGES.items():
             if getattr(self, name) and (missing := [item for item in packages if find_spec(item) is None]):
-                raise CommandError(f"{_flag(name)} needs a package: pip install {' '.join(missing)}")
+                raise CommandError(f"{flag(name)} needs a package: pip install {' '.join(missing)}")
         file = Path(self.trained_agent)
         if self.trained_agent and (file.suffix != ".zip" or not file.is_file()):
             raise CommandError(f"--trained-agent must be an existing .zip file, got {file}")
 
     @classmethod
-    def of(cls, experiment: ExperimentConfig, given: Mapping[str, Any] | None = None) -> TrainingOptions:
-        """
-        Return the options of an experiment, whose preset defines defaults; ``given`` options replace them.
-
-        :raises CommandError: for an unknown option or an invalid value
-        """
+    def of(cls, experiment: ExperimentConfig, given: Mapping[str, Any] | None = None) -> "TrainingOptions":
+        """Return the options of an experiment's preset, which ``given`` options replace."""
         values = {**experiment.flags, **(given or {})}
         check_names("option of the training", values, [item.name for item in fields(cls)])
         return cls(**values)
-
-    def plain(self) -> dict[str, Any]:
-        """Return all values by name."""
-        return asdict(self)
 
 
 def _check(item: Field[Any], value: Any) -> None:
@@ -79,11 +68,11 @@ def _check(item: Field[Any], value: Any) -> None:
     kwargs = item.metadata["kwargs"]
     if value == item.default:
         return
-    check_names(_flag(item.name), [value], kwargs.get("choices", [value]))
+    check_names(flag(item.name), [value], kwargs.get("choices", [value]))
     try:
         kwargs.get("type", str)(str(value))
     except (ValueError, argparse.ArgumentTypeError) as error:
-        raise CommandError(f"{_flag(item.name)}: {error}") from error
+        raise CommandError(f"{flag(item.name)}: {error}") from error
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -91,7 +80,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("options of the training", argument_default=argparse.SUPPRESS)
     for item in fields(TrainingOptions):
         kwargs = item.metadata["kwargs"] or ({"action": "store_true"} if item.default is False else {})
-        group.add_argument(*item.metadata["short"], _flag(item.name), help=item.metadata["help"], **kwargs)
+        group.add_argument(*item.metadata["short"], flag(item.name), help=item.metadata["help"], **kwargs)
 
 
 def given_options(args: argparse.Namespace) -> dict[str, Any]:
@@ -100,5 +89,6 @@ def given_options(args: argparse.Namespace) -> dict[str, Any]:
     return {name: value for name, value in vars(args).items() if name in names}
 
 
-def _flag(name: str) -> str:
+def flag(name: str) -> str:
+    """Return the flag of an argument."""
     return f"--{name.replace('_', '-')}"

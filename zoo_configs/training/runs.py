@@ -5,7 +5,7 @@ import shlex
 import sys
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -15,19 +15,26 @@ from zoo_configs.errors import CommandError, reason, refused
 from zoo_configs.experiments.config import ExperimentConfig
 from zoo_configs.files import read_yaml, write_yaml
 from zoo_configs.provenance import commit, describe_hardware, versions
-from zoo_configs.training.options import TrainingOptions
+from zoo_configs.training.options import TrainingOptions, flag
 from zoo_configs.training.state import RunStatus, run_status
 
 RESOLVED_FILE = "hyperparams.yml"
-EVALUATIONS_FILE = "evaluations.npz"
-CHECKPOINT_FOLDER = "checkpoints"
 SEED_PREFIX = "seed_"
 """Start of the names of a benchmark's run folders, ``<folder>/<task>/<baseline>/seed_<n>``."""
-CURVE_FILE = "learning_curve.png"
 RUN_KEY = "run"
 """Key of the resolved file next to the environment's section; rl_zoo3 does not read it."""
 EXPERIMENT_KEYS = ("algo", "baseline", "preset", "benchmark", "overrides", "flags")
 """Fields of the experiment below this key."""
+
+
+class RunFile:
+    """Path in the folder of a run, in which ``{env}`` stands for its environment."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    def __get__(self, run: "Run", owner: type["Run"]) -> Path:
+        return run.folder / self.name.format(env=env_folder_name(run.experiment.env_id))
 
 
 @dataclass(frozen=True)
@@ -35,11 +42,7 @@ class Run:
     """
     A training run on disk.
 
-    :param folder: Its folder
-    :param experiment: The trained experiment
     :param seed: Seed of model and environments
-    :param device: PyTorch device
-    :param options: How it was trained
     :param gym_packages: Packages that register the environment, in addition to ours
     """
 
@@ -50,6 +53,27 @@ class Run:
     options: TrainingOptions = field(default_factory=TrainingOptions)
     gym_packages: tuple[str, ...] = ()
 
+    resolved_file = RunFile(RESOLVED_FILE)
+    """The YAML file that rl_zoo3 reads as its ``--conf-file``."""
+    config_file = RunFile("{env}/config.yml")
+    """Hyperparameters that rl_zoo3's ``enjoy`` reads."""
+    statistics_file = RunFile("{env}/vecnormalize.pkl")
+    """Statistics of ``VecNormalize``."""
+    last_model = RunFile("{env}.zip")
+    """The model at the end of the training."""
+    best_model = RunFile("best_model.zip")
+    """The model of the best periodic evaluation."""
+    checkpoint_folder = RunFile("checkpoints")
+    """Folder of the checkpoints."""
+    evaluations_file = RunFile("evaluations.npz")
+    """Periodic evaluations, in Stable-Baselines3's format."""
+    training_log = RunFile("training.csv")
+    """Values that the algorithm logged with its updates."""
+    certificate = RunFile("certificate.yml")
+    """Checksums of its first updates."""
+    curve_file = RunFile("learning_curve.png")
+    """Figure of the evaluations."""
+
     @property
     def n_timesteps(self) -> int:
         """Number of time steps to train."""
@@ -57,54 +81,9 @@ class Run:
         return wanted if wanted > 0 else int(self.experiment.hyperparams["n_timesteps"])
 
     @property
-    def resolved_file(self) -> Path:
-        """The YAML file that rl_zoo3 reads as its ``--conf-file``."""
-        return self.folder / RESOLVED_FILE
-
-    @property
-    def params_folder(self) -> Path:
-        """Folder of the configuration and the statistics that rl_zoo3 reads."""
-        return self.folder / env_folder_name(self.experiment.env_id)
-
-    @property
-    def statistics_file(self) -> Path:
-        """Statistics of ``VecNormalize``."""
-        return self.params_folder / "vecnormalize.pkl"
-
-    @property
-    def last_model(self) -> Path:
-        """The model at the end of the training."""
-        return self.folder / f"{env_folder_name(self.experiment.env_id)}.zip"
-
-    @property
-    def best_model(self) -> Path:
-        """The model of the best periodic evaluation."""
-        return self.folder / "best_model.zip"
-
-    @property
     def has_model(self) -> bool:
         """True if a model is saved."""
         return self.best_model.is_file() or self.last_model.is_file()
-
-    @property
-    def checkpoint_folder(self) -> Path:
-        """Folder of the checkpoints."""
-        return self.folder / CHECKPOINT_FOLDER
-
-    @property
-    def evaluations_file(self) -> Path:
-        """Periodic evaluations, in Stable-Baselines3's format."""
-        return self.folder / EVALUATIONS_FILE
-
-    @property
-    def training_log(self) -> Path:
-        """Values that the algorithm logged with its updates."""
-        return self.folder / "training.csv"
-
-    @property
-    def certificate(self) -> Path:
-        """Checksums of its first updates."""
-        return self.folder / "certificate.yml"
 
     @property
     def status(self) -> RunStatus:
@@ -130,18 +109,19 @@ def claim_run_folder(log_folder: Path, env_id: str) -> Path:
 
 
 def write_resolved(run: Run) -> None:
-    """Write the configuration of a run, in the form of rl_zoo3's ``--conf-file``."""
+    """Write the configuration of a run, in the form of rl_zoo3's ``--conf-file`` and for its ``enjoy``."""
     experiment = run.experiment
     about = {
         **{name: getattr(experiment, name) for name in EXPERIMENT_KEYS},
         "seed": run.seed,
         "device": run.device,
-        "options": run.options.plain(),
+        "options": asdict(run.options),
         "gym_packages": list(run.gym_packages),
         "commit": commit(),
         "versions": versions(),
         "machine": describe_hardware(run.device),
     }
+    write_yaml(run.config_file, dict(sorted(experiment.hyperparams.items())))
     write_yaml(run.resolved_file, {RUN_KEY: about, experiment.env_id: experiment.hyperparams})
 
 
@@ -180,7 +160,7 @@ def find_runs(log_folder: Path, env_id: str | None = None) -> list[Run]:
 
 def clear(run: Run) -> None:
     """Remove the files of a run that was killed before its first checkpoint and starts again."""
-    reports = [run.evaluations_file, run.training_log, run.certificate, run.folder / CURVE_FILE]
+    reports = [run.evaluations_file, run.training_log, run.certificate, run.curve_file]
     monitors = run.folder.glob("*.monitor.csv")
     for path in (*reports, *monitors, run.best_model, run.last_model):
         path.unlink(missing_ok=True)
@@ -193,10 +173,8 @@ class Origin:
 
     :param minutes: Training time, None if unknown
     :param command: Command line that trains it again
-    :param commit: Commit of the code, empty if unknown
+    :param commit: Commit of the code
     :param date: Date of the end of the training
-    :param machine: Processor and GPU
-    :param versions: Versions of packages
     """
 
     minutes: float | None
@@ -243,10 +221,10 @@ def repeating_command(run: Run) -> str:
 
 def _options(run: Run) -> Iterator[str]:
     """Yield the options that differ from the preset's."""
-    preset = TrainingOptions.of(run.experiment).plain()
-    for name, value in run.options.plain().items():
+    preset = asdict(TrainingOptions.of(run.experiment))
+    for name, value in asdict(run.options).items():
         if value != preset[name]:
-            yield f"--{name.replace('_', '-')}"
+            yield flag(name)
             yield from () if value is True else (str(value),)
 
 

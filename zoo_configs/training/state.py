@@ -34,10 +34,8 @@ class RunStatus(NamedTuple):
     """
     Status of a run.
 
-    :param state: Its state
     :param host: Host name of the latest machine
-    :param pid: Id of the latest process
-    :param since: Start of that process, in seconds since 1970
+    :param since: Start of the latest process, in seconds since 1970
     :param seconds: Training time of all processes together
     :param error: Reason for a failure
     :param until: End of that process, in seconds since 1970; 0 while it runs or if it was killed
@@ -53,13 +51,9 @@ class RunStatus(NamedTuple):
 
 
 def run_status(folder: Path) -> RunStatus:
-    """
-    Return the status of a run; raise ``CommandError`` if its file is damaged.
-
-    A run that is recorded as running without a process was killed.
-    """
+    """Return the status of a run; raise ``CommandError`` if its file is damaged."""
     found = _read(folder)
-    is_killed = found.state is State.RUNNING and not is_training(folder)
+    is_killed = found.state is State.RUNNING and not is_training(folder)  # it could not record its end
     return found._replace(state=State.KILLED) if is_killed else found
 
 
@@ -95,11 +89,7 @@ def lock(file: IO[str]) -> bool:
 
 
 def set_status(folder: Path, state: State, error: str = "") -> None:
-    """
-    Set the status of a run whose process could not do so, in a folder that is created if needed.
-
-    A run that is running or done keeps its status.
-    """
+    """Set the status of a run whose process could not do so, unless the run is running or done."""
     if is_training(folder):
         return
     found = _read(folder)

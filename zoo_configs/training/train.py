@@ -4,8 +4,8 @@ import shutil
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager, nullcontext
-from dataclasses import replace
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import stable_baselines3 as sb3
@@ -19,7 +19,7 @@ from zoo_configs.environments import register_environments, tried_env
 from zoo_configs.errors import CommandError
 from zoo_configs.experiments.config import ExperimentConfig
 from zoo_configs.experiments.validation import check_experiment, check_expert_data
-from zoo_configs.files import made_folder, write_yaml
+from zoo_configs.files import made_folder
 from zoo_configs.training.evaluation import save_model
 from zoo_configs.training.options import TrainingOptions
 from zoo_configs.training.runs import Run, claim_run_folder, clear, load_run, write_resolved
@@ -28,11 +28,7 @@ from zoo_configs.training.trainer import Trainer
 
 
 class TrainingInterrupted(KeyboardInterrupt):
-    """
-    Ctrl-C ended a training, and its model is saved.
-
-    :param run: The run, which can be resumed
-    """
+    """Ctrl-C ended the training of ``run``, whose model is saved."""
 
     def __init__(self, run: Run) -> None:
         super().__init__()
@@ -61,15 +57,12 @@ def train_experiment(
 
     :param experiment: The experiment, as from :func:`zoo_configs.experiments.config.resolve`
     :param seed: Seed of model and environments
-    :param device: PyTorch device
     :param folder: Log folder
     :param options: Options of the training, None for those of the preset
     :param at: Run folder
     :param gym_packages: Packages that register the environment, in addition to ours
     :param allow_mismatched_demos: Whether ``expert_data`` may come from another environment
     :param callbacks: Callbacks in addition to those of the options
-    :param progress: Whether to show a progress bar
-    :return: The trained run
     :raises CommandError: for an experiment that cannot be trained; no file has changed then
     :raises KeyboardInterrupt: after Ctrl-C, when the model is saved
     """
@@ -82,7 +75,6 @@ def train_experiment(
     with made_folder(logs):
         run = replace(run, folder=claim_run_folder(logs, experiment.env_id))
         try:
-            write_resolved(run)
             return _train(run, None, callbacks, progress)
         except BaseException:
             if not run.has_model and latest_checkpoint(run.checkpoint_folder) is None:
@@ -94,7 +86,6 @@ def resume_run(run: Run, progress: bool = False) -> Run:
     """
     Resume a run, whose options and device may have changed, from its latest valid checkpoint.
 
-    :param progress: Whether to show a progress bar
     :raises CommandError: if there is no valid checkpoint, or the run is finished
     :raises KeyboardInterrupt: after Ctrl-C, when the model is saved
     """
@@ -144,8 +135,6 @@ def train_run(
         return run
     run.folder.mkdir(parents=True, exist_ok=True)
     is_begun = latest_checkpoint(run.checkpoint_folder) is not None
-    if not is_begun:
-        write_resolved(run)
     return _train(run, _latest_checkpoint(run) if is_begun else None, callbacks, progress)
 
 
@@ -161,49 +150,35 @@ def _latest_checkpoint(run: Run) -> Path:
 
 
 def _train(run: Run, checkpoint: Path | None, callbacks: Sequence[BaseCallback], progress: bool) -> Run:
-    tracking = _tracked(run) if run.options.track else nullcontext(run)
-    with run_lock(run.folder, checkpoint), _threads(run.options.num_threads), tracking as logged:
+    with run_lock(run.folder, checkpoint), ExitStack() as stack:
+        stack.callback(th.set_num_threads, th.get_num_threads())
+        if run.options.num_threads > 0:
+            th.set_num_threads(run.options.num_threads)
+        logged = stack.enter_context(_tracked(run)) if run.options.track else run
         if checkpoint is None:
             clear(run)
         set_random_seed(run.seed)
-        with closing(Trainer(logged, checkpoint, callbacks, progress)) as trainer:
-            # rl_zoo3 loads a run with this file.
-            write_yaml(run.params_folder / "config.yml", dict(sorted(run.experiment.hyperparams.items())))
-            if run.options.verbose:
-                print(f"Training in {run.folder}", flush=True)
-            finished = trainer.learn()
-            save_model(run, trainer.model, run.last_model)
+        trainer = stack.enter_context(closing(Trainer(logged, checkpoint, callbacks, progress)))
+        write_resolved(run)
+        if run.options.verbose:
+            print(f"Training in {run.folder}", flush=True)
+        finished = trainer.learn()
+        save_model(run, trainer.model, run.last_model)
         if not finished:
             raise TrainingInterrupted(run)
     return run
 
 
 @contextmanager
-def _threads(number: int) -> Iterator[None]:
-    """Set the number of PyTorch's threads for a training."""
-    before = th.get_num_threads()
-    if number > 0:
-        th.set_num_threads(number)
-    try:
-        yield
-    finally:
-        th.set_num_threads(before)
-
-
-@contextmanager
 def _tracked(run: Run) -> Iterator[Run]:
-    """
-    Log a run to Weights & Biases, and provide the run with the TensorBoard folder that it reads.
-
-    Its environment variables apply, such as ``WANDB_PROJECT``, ``WANDB_ENTITY`` and ``WANDB_MODE=offline``.
-    """
+    """Log a run to Weights & Biases, and provide the run with the TensorBoard folder that it reads."""
     import wandb
 
     name = f"{run.experiment.env_id}__{run.experiment.label}__{run.seed}__{int(time.time())}"
     session = wandb.init(
         name=name,
         tags=[f"v{sb3.__version__}"],
-        config={"seed": run.seed, **run.options.plain(), **run.experiment.hyperparams},
+        config={"seed": run.seed, **asdict(run.options), **run.experiment.hyperparams},
         sync_tensorboard=True,
         save_code=True,
     )

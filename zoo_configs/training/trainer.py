@@ -15,14 +15,13 @@ from tqdm.rich import tqdm
 
 from sb3_extensions.common.checkpoint import DirectoryCheckpointCallback, resume, save_checkpoint
 from zoo_configs.algorithms import algorithm_classes
-from zoo_configs.environments import load_expert_data
+from zoo_configs.environments import SeedStream, load_expert_data, stream_seed
 from zoo_configs.errors import CommandError, reason, refused
 from zoo_configs.experiments.validation import policy_class
 from zoo_configs.training.certificate import Certificate
 from zoo_configs.training.evaluation import PeriodicEvaluation, TrainingLog
-from zoo_configs.training.objects import TRAINER_KEYS, action_noise, build_vec_env, callbacks, parsed
+from zoo_configs.training.objects import TRAINER_KEYS, action_noise, build_vec_env, described_classes, parsed
 from zoo_configs.training.runs import Run, env_folder_name
-from zoo_configs.training.seeds import SeedStream, stream_seed
 
 REJECTIONS = (AssertionError, MemoryError, RuntimeError, TypeError, ValueError)
 """Errors of algorithms for arguments, or environments, with which they cannot learn."""
@@ -47,9 +46,7 @@ class Trainer:
     """
     Environments, model and callbacks of one run.
 
-    :param run: The run; its folder exists
     :param checkpoint: The checkpoint to resume from, None for a new run
-    :param more_callbacks: Callbacks in addition to those of the options
     :param progress: Whether to show a progress bar instead of tables
     :raises CommandError: if the algorithm, the environment or a callback rejects its arguments
     """
@@ -65,24 +62,19 @@ class Trainer:
         self.options, self.hyperparams = run.options, run.experiment.hyperparams
         self.algorithm = algorithm_classes()[run.experiment.algo]
         self.verbose = 0 if progress and self.options.verbose == 1 else self.options.verbose
-        self.evaluation_env: VecEnv | None = None
-        self.env: VecEnv | None = None
+        self.envs: list[VecEnv] = []
         try:
             with refused(f"{run.experiment.algo} cannot be built for {run.experiment.env_id}"):
                 self.callbacks = [*self._callbacks(), *more_callbacks]
                 n_envs, is_new = self.hyperparams.get("n_envs", 1), checkpoint is None
-                self.env = self._build_env(n_envs, monitor_dir=run.folder, override_existing=is_new)
-                self.model = self._model(self.env)
+                env = self._build_env(n_envs, monitor_dir=run.folder, override_existing=is_new)
+                self.model = self._model(env)
         except BaseException:
             self.close()
             raise
 
     def learn(self) -> bool:
-        """
-        Train, save a last checkpoint, and return False if Ctrl-C ended the training.
-
-        :raises CommandError: for an error before the first update, because the arguments are its reason
-        """
+        """Train, save a last checkpoint, and return False if Ctrl-C ended the training."""
         updates = getattr(self.model, "_n_updates", 0)
         steps = self.run.n_timesteps - (self.model.num_timesteps if self.checkpoint else 0)
         # By default our algorithms show bars for demonstrations and pretraining on a terminal.
@@ -101,44 +93,40 @@ class Trainer:
         except REJECTIONS as error:
             if getattr(self.model, "_n_updates", 0) > updates:
                 raise
+            # The arguments are the reason for an error before the first update.
             where = f"{self.run.experiment.algo} cannot train on {self.run.experiment.env_id}"
             raise CommandError(f"{where}: {reason(error)}") from error
         return True
 
     def close(self) -> None:
         """Close all environments."""
-        for env in (self.env, self.evaluation_env):
-            if env is not None:
-                with contextlib.suppress(EOFError, BrokenPipeError):  # Ctrl-C has ended a worker process
-                    env.close()
+        for env in self.envs:
+            with contextlib.suppress(EOFError, BrokenPipeError):  # Ctrl-C has ended a worker process
+                env.close()
 
     def _build_env(self, n_envs: int, **kwargs: Any) -> VecEnv:
         statistics = None
         if self.options.trained_agent:  # the statistics of the model that training starts from
             folder = Path(self.options.trained_agent).parent
             statistics = folder / env_folder_name(self.run.experiment.env_id) / self.run.statistics_file.name
-        return build_vec_env(
-            self.run.experiment.env_id,
-            self.hyperparams,
-            n_envs,
-            self.run.seed,
-            vec_env=self.options.vec_env,
-            statistics=statistics,
-            **kwargs,
-        )
+        names = self.run.experiment.env_id, self.hyperparams, n_envs, self.run.seed
+        env = build_vec_env(*names, vec_env=self.options.vec_env, statistics=statistics, **kwargs)
+        self.envs.append(env)
+        return env
 
     def _callbacks(self) -> list[BaseCallback]:
         """Build the callbacks of the hyperparameters, then progress bar, log, evaluation and checkpoints."""
-        options, found = self.options, callbacks(self.hyperparams.get("callback"))
+        options, described = self.options, described_classes(self.hyperparams.get("callback"))
+        found: list[BaseCallback] = [cls(**kwargs) for cls, kwargs in described]
         if self.progress:
             found.append(TrainingBar())
         if not options.trained_agent:
             found.append(Certificate(self.run.certificate))
         if options.eval_freq > 0:
-            self.evaluation_env = self._build_env(options.n_eval_envs, for_evaluation=True)
-            self.evaluation_env.seed(stream_seed(self.run.seed, SeedStream.EVALUATION))
+            env = self._build_env(options.n_eval_envs, for_evaluation=True)
+            env.seed(stream_seed(self.run.seed, SeedStream.EVALUATION))
             found.append(TrainingLog(self.run.training_log, options.eval_freq))
-            found.append(PeriodicEvaluation(self.run, self.evaluation_env, self.verbose))
+            found.append(PeriodicEvaluation(self.run, env, self.verbose))
         if options.save_freq > 0:
             found.append(DirectoryCheckpointCallback(options.save_freq, self.run.checkpoint_folder))
         return found

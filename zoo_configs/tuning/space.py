@@ -1,7 +1,5 @@
 """Search spaces: the hyperparameters that a study changes, and their values."""
 
-from __future__ import annotations
-
 import functools
 import inspect
 import json
@@ -12,7 +10,8 @@ from typing import Any, NamedTuple
 
 import optuna
 
-from zoo_configs.algorithms import algorithm_classes, constructor_arguments
+from sb3_extensions.common.env_metadata import constructor_arguments
+from zoo_configs.algorithms import algorithm_classes
 from zoo_configs.errors import CommandError, check_names
 from zoo_configs.experiments.config import ExperimentConfig, look_up, merge
 from zoo_configs.files import read_yaml
@@ -48,7 +47,7 @@ class Parameter(NamedTuple):
             return next((json.dumps(choice) for choice in self.choices if _equal(choice, value)), None)
         return value if _is_number(value) and self.low <= value <= self.high else None
 
-    def including(self, value: Any) -> Parameter:
+    def including(self, value: Any) -> "Parameter":
         """Return the parameter with a value, None for unknown, added to its choices or within its bounds."""
         if value is None or self.optuna_value(value) is not None:
             return self
@@ -73,8 +72,6 @@ def load_space(
     :raises CommandError: for an invalid file, an algorithm without space, an unknown hyperparameter, or if
         nothing is left to search
     """
-    from sb3_extensions.common.env_metadata import constructor_keys
-
     algo = experiment.algo
     if path is None and algo not in _shipped_spaces():
         raise CommandError(f"no search space for {algo}. Use --space.")
@@ -83,7 +80,7 @@ def load_space(
         space = [parameter for parameter in space if _root(parameter.name) not in given]
     else:
         space = parse_space(str(path), read_yaml(path, "--space"))
-    valid = {"policy", *TRAINER_KEYS, *constructor_keys(algorithm_classes()[algo])}
+    valid = {"policy", *TRAINER_KEYS, *constructor_arguments(algorithm_classes()[algo])}
     check_names(f"hyperparameter of {algo} in the search space", (_root(item.name) for item in space), valid)
     used = [item for item in space if not item.needs or baseline_value(item.needs, experiment)]
     if not used:

@@ -5,29 +5,31 @@ import json
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import IO, Any
 from uuid import uuid4
 
 import numpy as np
 import optuna
+from matplotlib import pyplot as plt
 from optuna.exceptions import ExperimentalWarning
 from optuna.importance import PedAnovaImportanceEvaluator
 from optuna.pruners import MedianPruner, NopPruner
 from optuna.samplers import TPESampler
-from optuna.storages import BaseStorage, JournalStorage, RDBStorage
+from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
 from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial, TrialState
+from optuna.visualization import matplotlib as visualization
 from stable_baselines3.common.callbacks import BaseCallback
 from tqdm import tqdm
 
 from zoo_configs.drawing.curves import load_curve
+from zoo_configs.environments import SeedStream, stream_seed
 from zoo_configs.errors import CommandError, reason, refused
 from zoo_configs.files import whole_file, write_yaml
-from zoo_configs.training.runs import EVALUATIONS_FILE, Run, load_run
-from zoo_configs.training.seeds import SeedStream, stream_seed
+from zoo_configs.training.runs import Run, load_run
 from zoo_configs.training.state import is_locked, lock
 from zoo_configs.training.train import train_run
 from zoo_configs.tuning.space import BASELINE, Parameter, first_values, sample_params
@@ -52,7 +54,6 @@ class Search:
     """
     Subject and settings of a study.
 
-    :param name: Name of the study
     :param run: Run of which the trials differ in their hyperparameters; its values are the first trial. Its
         folder is that of the study, shared by all processes: trials and by default the storage
     :param space: Search space of the experiment
@@ -80,24 +81,21 @@ class Search:
         """Return everything that the meaning of a trial depends on, as plain data."""
         names = ("env_id", "algo", "baseline", "preset", "benchmark", "hyperparams")
         experiment = {name: getattr(self.run.experiment, name) for name in names}
-        options, seed = self.run.options.plain(), self.run.seed
+        options, seed = asdict(self.run.options), self.run.seed
         content = {**experiment, "space": self.space, "seed": seed, "options": options}
         return dict(json.loads(json.dumps(content)))
 
 
 def open_study(search: Search) -> optuna.Study:
-    """
-    Create a study, or join it.
-
-    :raises CommandError: if the storage cannot be opened, or its study has another subject, another folder or
-        belongs to another program
-    """
+    """Create a study, or join it; raise ``CommandError`` if it is another one or cannot be opened."""
     search.run.folder.mkdir(parents=True, exist_ok=True)
     with _alone(search.run.folder):
         with refused(f"--storage: {search.storage_name} cannot be opened"):
             is_median = search.pruner == "median"
+            is_journal = search.storage is None or search.storage.endswith(".log")
+            journal = JournalStorage(JournalFileBackend(search.storage_name)) if is_journal else None
             study = optuna.create_study(
-                storage=_storage(search),
+                storage=journal or search.storage,
                 study_name=search.name,
                 direction="maximize",
                 pruner=MedianPruner(search.n_startup_trials, WARMUP) if is_median else NopPruner(),
@@ -127,11 +125,7 @@ def _check_new(search: Search, study: optuna.Study) -> None:
 
 
 def work(search: Search, study: optuna.Study, progress: bool = False) -> None:
-    """
-    Train trials until the study has ``n_trials``. Other processes can do so at the same time.
-
-    :param progress: Whether to show a bar of the study's finished trials
-    """
+    """Train trials until the study has ``n_trials``. Other processes can do so at the same time."""
     number, done = search.n_trials, _count_finished(study)
     with tqdm(total=number, initial=done, unit="trial", disable=not progress) as bar:
         while (claimed := _next_trial(search, study)) is not None:
@@ -193,12 +187,12 @@ def _claim_file(search: Search, trial: optuna.Trial | FrozenTrial) -> Path:
 
 
 def _run(search: Search, study: optuna.Study, trial: optuna.Trial) -> None:
-    folder = trial_folder(search, trial)
     experiment = search.run.experiment
     try:
         sampled = sample_params(experiment, search.space, trial)
+        folder = trial_folder(search, trial)
         run = replace(search.run, folder=folder, experiment=experiment.overridden(sampled))
-        train_run(run, [ReportToTrial(trial, folder)])
+        train_run(run, [ReportToTrial(trial, run.evaluations_file)])
         if trial.user_attrs.get(PRUNED):
             study.tell(trial, state=TrialState.PRUNED)
         else:
@@ -216,12 +210,6 @@ def describe(trial: FrozenTrial) -> str:
     short = {name: f"{v:.3g}" if isinstance(v, float) else v for name, v in trial.params.items()}
     values = ", ".join(f"{name} {value}" for name, value in short.items())
     return f"trial {trial.number}: {trial.state.name.lower()} {ended} ({values})"
-
-
-def _storage(search: Search) -> BaseStorage:
-    if search.storage is None or search.storage.endswith(".log"):
-        return JournalStorage(JournalFileBackend(search.storage_name))
-    return RDBStorage(search.storage)
 
 
 def _identify(folder: Path) -> str:
@@ -242,17 +230,11 @@ def _alone(folder: Path) -> Iterator[None]:
 
 
 class ReportToTrial(BaseCallback):
-    """
-    Callback that reports each evaluation of a run to its trial, and ends the training of a pruned trial.
+    """Callback that reports each evaluation of a run to its trial, and ends a pruned trial."""
 
-    :param trial: The trial
-    :param folder: Run folder
-    """
-
-    def __init__(self, trial: optuna.Trial, folder: Path) -> None:
+    def __init__(self, trial: optuna.Trial, evaluations: Path) -> None:
         super().__init__()
-        self.trial = trial
-        self.path = folder / EVALUATIONS_FILE
+        self.trial, self.path = trial, evaluations
         self._changed = 0  # time of the file's last change
         self._reported = 0  # number of evaluations
 
@@ -271,11 +253,7 @@ class ReportToTrial(BaseCallback):
 
 
 def score(run: Run) -> float:
-    """
-    Return the score of a run, which is high for success that lasts.
-
-    It is the mean success of the second half of its evaluations, or the mean return without success.
-    """
+    """Return the mean success, or mean return without success, of the second half of a run's evaluations."""
     success = load_curve(run.evaluations_file).success
     return float(np.mean(success[len(success) // 2 :]))
 
@@ -315,25 +293,18 @@ def check_complete(search: Search, study: optuna.Study) -> None:
 
 
 def _draw(folder: Path, study: optuna.Study) -> list[Path]:
-    from optuna.visualization import matplotlib as visualization
-
     evaluator = PedAnovaImportanceEvaluator()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ExperimentalWarning)
-        plots = {
+        plots: dict[str, Any] = {
             "history": visualization.plot_optimization_history(study),
             "importances": visualization.plot_param_importances(study, evaluator=evaluator),
             "parallel_coordinates": visualization.plot_parallel_coordinate(study),
         }
     plots["importances"].set_title(IMPORTANCES_TITLE)
-    return [_save(folder / f"{name}.png", axes) for name, axes in plots.items()]
-
-
-def _save(path: Path, axes: Any) -> Path:
-    from matplotlib import pyplot as plt
-
-    axes.figure.set_size_inches(PLOT_SIZE)
-    with whole_file(path) as partial:
-        axes.figure.savefig(partial, dpi=DOTS_PER_INCH, bbox_inches="tight")
-    plt.close(axes.figure)
-    return path
+    for name, axes in plots.items():
+        axes.figure.set_size_inches(PLOT_SIZE)
+        with whole_file(folder / f"{name}.png") as partial:
+            axes.figure.savefig(partial, dpi=DOTS_PER_INCH, bbox_inches="tight")
+        plt.close(axes.figure)
+    return [folder / f"{name}.png" for name in plots]

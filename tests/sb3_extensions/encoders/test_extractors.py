@@ -41,6 +41,13 @@ def with_small_images():
     return observation_space(in_hand=heights(3, 10, 10), touch=heights(1, 8, 8, high=1), colour=colour)
 
 
+SPACES = {
+    "scene": observation_space(),
+    "colours": observation_space(scene=spaces.Box(0, 255, (3, SIZE, SIZE), np.uint8)),
+    "small images": with_small_images(),
+}
+
+
 def sample(space, batch=3):
     """Return observations as Stable-Baselines3 passes them to extractors: uint8 images are in [0, 1]."""
     space.seed(0)
@@ -127,7 +134,7 @@ def test_features_equal_those_of_stored_images(dtype):
 
 
 @pytest.mark.parametrize("group, n", [("cyclic", 4), ("cyclic", 8), ("dihedral", 4)])
-@pytest.mark.parametrize("space", [observation_space(), with_small_images()], ids=["scene", "small images"])
+@pytest.mark.parametrize("space", SPACES.values(), ids=SPACES)
 def test_outputs_are_equivariant_or_invariant(space, group, n):
     regular = EquivariantExtractor(space, group, n, [4, 4, 4])
     invariant = EquivariantExtractor(space, group, n, [4, 4, 4], output="invariant")
@@ -136,9 +143,10 @@ def test_outputs_are_equivariant_or_invariant(space, group, n):
     features = regular(observations)
     assert features.shape == (3, regular.features_dim) and features.std() > 0
     for element in (e for e in range(regular.out_type.group.order) if e % n % (n // 4) == 0):
-        image = observations["heightmap"]
-        image = image.flip(-1) if element >= n else image
-        turned = {**observations, "heightmap": th.rot90(image, element % n // (n // 4), (-2, -1))}
+        turned = dict(observations)
+        for name in ("heightmap", "scene") if "scene" in space.spaces else ("heightmap",):
+            image = observations[name].flip(-1) if element >= n else observations[name]
+            turned[name] = th.rot90(image, element % n // (n // 4), (-2, -1))
         matrix = th.tensor(regular.out_type.matrix(element)).float()
         assert th.allclose(regular(turned), features @ matrix.T, atol=1e-5)
         assert th.allclose(invariant(turned), invariant(observations), atol=1e-5)
