@@ -15,7 +15,7 @@ from bulletarm_gym import config_checks
 from bulletarm_gym.config import CLOSE_LOOP, PROGRESS, Context, EnvConfig, ParameterError
 from bulletarm_gym.control import Control, RobotInterface
 from bulletarm_gym.episode import AFTER_ACTION, ARRANGEMENT, PLAN, Episode
-from bulletarm_gym.experts.approach import Tracker
+from bulletarm_gym.experts.approach import Tracker, checked_plan
 from bulletarm_gym.geometry.compilation import warm_up
 from bulletarm_gym.observations import Observer, View
 from bulletarm_gym.observations.cameras import RENDER, Viewer
@@ -283,7 +283,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self._episode.check_running()
         lasts = PLAN_STEPS if self.task.plans_moves and self.config.control == CLOSE_LOOP else 1
         rng = self._episode.rng(PLAN, self._episode.steps // lasts)
-        plan = iter(self.task.plan(self.scene, rng) or ())
+        plan = checked_plan(self.task.plan(self.scene, rng))
         return self.control.encode_action(self.tracker.next_move(plan))
 
     def get_wrapper_attr(self, name: str) -> Any:

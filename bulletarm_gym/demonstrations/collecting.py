@@ -63,7 +63,7 @@ def collect(
     check_argument("env_kwargs", env_kwargs, optional(mapping))
     noise = check_argument("noise", noise, number(0.0, 1.0, "a number from 0 to 1"))
     target = None if path is None else writable_path(Path(path))
-    seed = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else seed
+    seed = int(np.random.SeedSequence().generate_state(1)[0] if seed is None else seed)
     most = max_attempts or 4 * episodes
     is_silent = None if progress is None else not progress
     with closing(gymnasium.make(env_id, **(env_kwargs or {}))) as env:

@@ -1,7 +1,7 @@
 """Waypoints of grasps from above and of releases under closed-loop control, shared by the tasks' experts."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -336,6 +336,17 @@ def _rotation(control: CloseLoop, tool: Pose, yaw: float) -> float:
     if step == rotation or control.robot.can_move_to(Pose.planar(*tool.position, tool.yaw + step)):
         return rotation
     return rotation - math.copysign(2.0 * math.pi, rotation)
+
+
+def checked_plan(plan: Iterable[Any] | None) -> Iterator[Waypoint]:
+    """Yield the waypoints of a task's plan.
+
+    :raises ValueError: the plan yields something else
+    """
+    for waypoint in plan or ():
+        if not isinstance(waypoint, Waypoint):
+            raise ValueError(f"plan() of the task must yield Waypoint objects, got {waypoint!r}")
+        yield waypoint
 
 
 def _first(plan: Iterator[Waypoint]) -> Waypoint:

@@ -62,7 +62,7 @@ class Arm:
         self.held: Body | None = None
         self._inverse = lru_cache(maxsize=CACHE_SIZE)(model.inverse)
         self._forward = lru_cache(maxsize=1)(lambda joints: model.chain.forward(np.array(joints)))
-        limits = model.chain.solution_limits.tolist()
+        limits = np.nan_to_num(model.chain.solution_limits).tolist()  # finite, also of continuous joints
         self._wrist_limits: list[float] = limits[-1]
         self._turning_joints = [
             (j, low, high) for j, (low, high) in enumerate(limits) if high - low >= math.tau

@@ -8,7 +8,7 @@ import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP
 from bulletarm_gym.experts import CLOSED, Waypoint
-from bulletarm_gym.experts.approach import Tracker, rotates
+from bulletarm_gym.experts.approach import Tracker, checked_plan, rotates
 from bulletarm_gym.geometry import Pose, wrap_angle
 from bulletarm_gym.observations import View
 from bulletarm_gym.scene import Scene
@@ -56,7 +56,7 @@ class Progress:
         finished, parts = self._task.parts(scene, rng)
         share = 0.0 if is_empty(scene) else 0.5
         if scene.config.control == CLOSE_LOOP:
-            path = self._tracker.path(iter(self._task.plan(scene, rng) or ()))
+            path = self._tracker.path(checked_plan(self._task.plan(scene, rng)))
             share = _share(scene, list(islice(path, MAX_WAYPOINTS)))
         return min(1.0, (finished + share) / parts)
 

@@ -76,7 +76,7 @@ def test_only_successes_are_kept(monkeypatch):
     expert, calls = ManipulationEnv.expert_action, itertools.count()
     patch = partial(monkeypatch.setattr, ManipulationEnv, "expert_action")
     patch(lambda env: (idle if next(calls) < 20 else expert)(env))
-    found = collect(PICKING, 1, seed=0, env_kwargs={"max_steps": 20, "obs_size": 32})
+    found = collect(PICKING, 1, seed=np.int64(0), env_kwargs={"max_steps": 20, "obs_size": 32})
     assert (len(found), found.attempts) == (1, 2)
     patch(idle)
     with pytest.raises(RuntimeError, match="0 of 3 attempts succeeded, 1 needed"):

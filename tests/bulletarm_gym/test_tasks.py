@@ -235,6 +235,7 @@ def test_mistake_of_a_task_is_named():
             for value in (None, {"is_success": True}, {"success": True, "ignored": False})
         ),
         ("plan", lambda task, scene, rng: None, r"plan\(\) .* got none"),
+        ("plan", lambda task, scene, rng: [scene["cube"].pose], r"plan\(\) .* Waypoint .*, got Pose"),
     ):
         with patch.object(BlockShaking, name, value), pytest.raises(ValueError, match=message):
             env = make_env(PICKING, task=f"{__name__}:BlockShaking", obs_size=16)

@@ -203,6 +203,12 @@ def test_finger_with_a_negative_axis_opens_like_the_other():
     assert finish(env)[0]
 
 
+def test_arm_with_a_continuous_joint_acts():
+    env = gymnasium.make(PICKING, robot=changed_kuka(put(KUKA.joints[0], "", type="continuous")))
+    env.reset(seed=0)
+    assert finish(env)[0]
+
+
 SLIDES = """<robot name="vx"><link name="palm"/><link name="bar"/><link name="left"/><link name="right"/>
 <joint name="bar" type="fixed"><parent link="palm"/><child link="bar"/>
 <origin xyz="0.1 0 0" rpy="0 0 0.5"/></joint>

@@ -7,6 +7,7 @@ import gymnasium as gym
 import pytest
 from sweeps import RUN_NAME, same
 
+from bulletarm_gym.demonstrations import collect
 from sb3_extensions.sacfd import SACfD
 from zoo_configs.agents import algorithm_of
 from zoo_configs.algorithms import algorithm_classes
@@ -78,6 +79,16 @@ def test_a_damaged_model_and_other_observations_are_named(run_folder, tmp_path, 
         assert "best_model.zip" in refuse("enjoy", str(folder))
     for command in ("enjoy", "record"):
         assert "agent" in refuse(command, str(run_folder), "--env-kwargs", "obs_size:64")
+
+
+def test_training_starts_from_a_model_that_had_other_demonstrations(train_tiny, tmp_path):
+    picking = ["--env", "BulletArm/CloseLoopBlockPicking-v0"]
+    collect(picking[1], 2, seed=0, env_kwargs={"obs_size": 48}, path=tmp_path / "expert.h5")
+    assert train_tiny(tmp_path / "first", f"expert_data:{tmp_path / 'expert.h5'}", *picking) == 0
+    name = Path("sacfd", "BulletArm-CloseLoopBlockPicking-v0_1", "best_model.zip")
+    assert train_tiny(tmp_path / "second", *picking, "-i", str(tmp_path / "first" / name)) == 0
+    trained = SACfD.load(tmp_path / "second" / name, device="cpu")
+    assert trained.n_pretrained == trained.pretrain_steps == 2
 
 
 def test_training_starts_from_a_model_with_other_hyperparameters(train_tiny, run_folder, tmp_path, capsys):

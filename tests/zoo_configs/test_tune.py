@@ -1,5 +1,8 @@
 """``bulletarm-zoo tune``: search spaces, trials, and studies of several processes."""
 
+import re
+import shlex
+
 import optuna
 import pytest
 import yaml
@@ -48,7 +51,7 @@ def states(folder):
 def test_a_study_begins_with_the_baseline_and_repeats_itself(tune, toy_id, tmp_path, capsys):
     assert tune("--n-trials", "1") == 0
     assert "trial" not in capsys.readouterr().err
-    assert tune("--n-trials", "3", "-P") == 0
+    assert tune("--n-trials", "3", "-P", "--gym-packages", "json") == 0
     done, printed = study_of(tmp_path, NAME).trials, capsys.readouterr()
     folder = tmp_path / "studies" / NAME
     assert done[0].params == {"learning_rate": 0.001, "batch_size": "4"}
@@ -59,8 +62,10 @@ def test_a_study_begins_with_the_baseline_and_repeats_itself(tune, toy_id, tmp_p
     assert "trial 1: " in printed.out and f"optuna-dashboard {folder / 'journal.log'}" in printed.out
     best = yaml.safe_load((folder / "best.yml").read_text())[toy_id]
     assert best["n_timesteps"] == 6 and best["learning_rate"].startswith("lin_")
-    command = ["train", "--algo", "sacfd", "--env", toy_id, "--conf-file", str(folder / "best.yml")]
-    assert main([*command, "-f", str(tmp_path / "logs"), "--no-progress", "--eval-freq", "0"]) == 0
+    [(_, command)] = re.findall("(To train .*): bulletarm-zoo (.*)", printed.out)
+    assert str(folder / "best.yml") in command and "--gym-packages json" in command
+    arguments = ["-f", str(tmp_path / "logs"), "--no-progress", "--eval-freq", "0"]
+    assert main([*shlex.split(command), *arguments]) == 0
     assert tune("--study-name", "whole", "--n-trials", "3") == 0
     assert tune("--study-name", "other", "--n-trials", "2", "--seed", "1") == 0
     found = [

@@ -1,6 +1,7 @@
 """``bulletarm-zoo tune``: searches hyperparameters with Optuna, in one or several processes."""
 
 import argparse
+import shlex
 
 import matplotlib as mpl
 import optuna
@@ -39,8 +40,10 @@ def main(args: argparse.Namespace) -> None:
         print_written(*files) if files else print("no trial is complete")
     check_complete(search, study)
     run = search.run
-    named = f"--algo {run.experiment.algo} --env {run.experiment.env_id} --seed {run.seed + 1}"
-    print(f"To train with the best values: bulletarm-zoo train {named} --conf-file {run.folder / BEST_FILE}")
+    words = ["bulletarm-zoo", "train", "--algo", run.experiment.algo, "--env", run.experiment.env_id]
+    words += ["--seed", str(run.seed + 1), "--conf-file", str(run.folder / BEST_FILE)]
+    words += ["--gym-packages", ",".join(run.gym_packages)] if run.gym_packages else []
+    print(f"To train with the best values: {shlex.join(words)}")
     print(f"To view the study: optuna-dashboard {search.storage_name}")
 
 

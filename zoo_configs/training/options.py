@@ -91,4 +91,4 @@ def given_options(args: argparse.Namespace) -> dict[str, Any]:
 
 def flag(name: str) -> str:
     """Return the flag of an argument."""
-    return f"--{name.replace('_', '-')}"
+    return "-params" if name == "hyperparams" else f"--{name.replace('_', '-')}"

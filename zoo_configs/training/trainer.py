@@ -144,6 +144,7 @@ class Trainer:
         # Arguments that are not named would be the file's, but those of the buffer are the run's.
         if (default := getattr(self.algorithm, "default_replay_buffer_class", None)) is not None:
             kwargs.setdefault("replay_buffer_class", default)
+            kwargs["_had_expert_data"] = False  # demonstrations are the run's, too
         loaded: BaseAlgorithm = self.algorithm.load(self.options.trained_agent, env=env, **kwargs)
         return loaded
 
