@@ -47,7 +47,7 @@ def test_a_run_that_cannot_be_resumed_is_one_line(run_folder, refuse):
         ("-n 18 --eval-episodes 3", "eval_episodes must be 2"),
         ("-n 18 --device cuda:99", "'cuda:99'"),
         *((f"{flag} 0", flag) for flag in fixed),
-        ("-params gamma:0.5", "--hyperparams"),
+        ("-params gamma:0.5", "-params"),
         ("--env-kwargs obs_size:64", "--env-kwargs"),
         ("-i model.zip", "--trained-agent"),
     ):
