@@ -31,9 +31,7 @@ def known_env_id(env_id: str) -> str:
     register_environments(package_of(env_id))
     name = env_id.rpartition(":")[2]
     if name not in gym.registry:
-        raise unknown_name(
-            "environment", name, gym.registry, "see bulletarm-zoo list, or pass --gym-packages MODULE"
-        )
+        raise unknown_name("environment", name, gym.registry, "see bulletarm-zoo list, or --gym-packages")
     return name
 
 
