@@ -16,6 +16,7 @@ from pathlib import Path
 from statistics import fmean, geometric_mean
 from textwrap import indent
 
+from bulletarm_gym.benchmarks import BENCHMARKS
 from expert_tables import (
     ID,
     OPEN_LOOP,
@@ -154,17 +155,21 @@ def results_table(source: Source, preset: str, tasks: str) -> str:
 
 
 def results_summary(source: Source) -> str:
-    """Return the success rate of each task's last agent, means over the seeds of the preset ``cpu``."""
+    """Return the success rate of each task's last agent with the preset ``cpu``."""
     runs_of: dict[str, list[Row]] = {}
     for run in source.read("results"):
         if run["preset"] == "cpu" and not run["earlier"] and "--benchmark" not in run["options"]:
             runs_of.setdefault(run["env"], []).append(run)
-    lines = []
+    lines, rates = [], []
     for task, runs in sorted(runs_of.items()):
         minutes = [float(run["minutes"]) for run in runs if run["minutes"]]
-        success = fmean(float(run["last"]) for run in runs if run["last"])
-        lines.append([f"`{task}`", f"{success:.2f}", f"{fmean(minutes):.0f}" if minutes else ""])
-    return markdown_table(("task", "success", "minutes"), lines)
+        rates.append(fmean(float(run["last"]) for run in runs if run["last"]))
+        lines.append([f"`{task}`", f"{rates[-1]:.2f}", f"{fmean(minutes):.0f}" if minutes else ""])
+    table = markdown_table(("task", "success", "minutes"), lines)
+    at_least = {limit: sum(round(rate, 2) >= limit for rate in rates) for limit in (0.90, 0.95)}
+    counts = ", ".join(f"{number} have {limit:.2f} or more" for limit, number in at_least.items())
+    tasks = {env.env_id for benchmark in BENCHMARKS.values() for env in benchmark.environments}
+    return f"{table}\n\nOf the paper's {len(tasks)} tasks, {len(rates)} have been trained: {counts}."
 
 
 def _result(runs: Sequence[Row]) -> list[str]:
