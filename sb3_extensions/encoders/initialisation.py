@@ -2,9 +2,9 @@
 
 from torch import nn
 
-OUTPUT_GAIN = 0.01
-"""Gain of output layers. Heights in centimetres make features large. With this gain an untrained actor has
-means near 0 and standard deviations near 1, and an untrained critic has values near 0."""
+SMALL_GAIN = 0.01
+"""Gain of normalised output layers: an untrained actor has means near 0 and standard deviations near 1, and
+an untrained critic has values near 0."""
 
 
 def initialise_xavier(module: nn.Module) -> None:
@@ -15,8 +15,9 @@ def initialise_xavier(module: nn.Module) -> None:
             nn.init.zeros_(module.bias)
 
 
-def scale_down(layer: nn.Linear | nn.Conv2d) -> None:
-    """Initialise an output layer near zero: Xavier uniform weights times :data:`OUTPUT_GAIN`, zero biases."""
-    nn.init.xavier_uniform_(layer.weight, gain=OUTPUT_GAIN)
+def initialise_output(layer: nn.Module, gain: float) -> None:
+    """Initialise a linear layer or a convolution: Xavier uniform weights times ``gain``, zero biases."""
+    assert isinstance(layer, nn.Conv2d | nn.Linear)
+    nn.init.xavier_uniform_(layer.weight, gain=gain)
     if layer.bias is not None:
         nn.init.zeros_(layer.bias)

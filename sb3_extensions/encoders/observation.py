@@ -195,6 +195,7 @@ class SceneView(nn.Module):
     :param image_key: name of the heightmap
     :param in_hand_key: name of the in-hand image
     :param holding_key: name of the number that is 1 if the gripper holds an object
+    :param patch_scale: factor of the standardised in-hand image, and of patches of the heightmap
     :raises ValueError: if there is no such heightmap, or see :class:`StackedImage`
     """
 
@@ -206,6 +207,7 @@ class SceneView(nn.Module):
         image_key: str = "heightmap",
         in_hand_key: str = "in_hand",
         holding_key: str = "holding",
+        patch_scale: float = 1.0,
     ) -> None:
         super().__init__()
         parts = observation_space.spaces if isinstance(observation_space, spaces.Dict) else {}
@@ -225,7 +227,7 @@ class SceneView(nn.Module):
         self.in_hand = stack(in_hand_key) if in_hand_key in parts else None
         self.in_hand_shape = None if self.in_hand is None else (self.in_hand.channels, self.in_hand.size)
         """Number of channels and side (pixels) of the in-hand image, None without one."""
-        self.standardise = standardise
+        self.standardise, self.patch_scale = standardise, patch_scale
         self.image_key = image_key
         self.holding_key = holding_key if holding_key in parts else None
 
@@ -233,7 +235,7 @@ class SceneView(nn.Module):
         """:return: view of a batch of observations"""
         image = self.heightmap(observations)
         heights = self.heightmap.scales[self.image_key].round(observations[self.image_key])[:, 0]
-        in_hand = None if self.in_hand is None else self.in_hand(observations)
+        in_hand = None if self.in_hand is None else self.patch_scale * self.in_hand(observations)
         places = th.zeros(len(heights), dtype=th.bool, device=heights.device)
         if self.holding_key is not None:
             places = observations[self.holding_key].flatten(1)[:, 0] > HOLDING_THRESHOLD

@@ -76,7 +76,7 @@ def double(features: th.Tensor) -> th.Tensor:
 
 
 class ResidualBlock(nn.Module):
-    """Two 3 x 3 convolutions with a shortcut: the identity, or a 1 x 1 convolution."""
+    """Two 3 x 3 convolutions with a shortcut: the identity, or a convolution if the channels change."""
 
     def __init__(self, first: nn.Module, second: nn.Module, skip: nn.Module) -> None:
         super().__init__()
@@ -96,11 +96,15 @@ def _plain_block(inputs: int, outputs: int) -> ResidualBlock:
     )
 
 
-def _equivariant_block(inputs: FieldType, outputs: FieldType) -> ResidualBlock:
+def _equivariant_block(inputs: FieldType, outputs: FieldType, skip_kernel: int) -> ResidualBlock:
+    def shortcut() -> nn.Module:
+        padding = skip_kernel // 2
+        return EquivariantConv2d(inputs, outputs, skip_kernel, padding=padding, bias=False, gain=1.0)
+
     return ResidualBlock(
         EquivariantConv2d(inputs, outputs, 3, padding=1, bias=False),
         EquivariantConv2d(outputs, outputs, 3, padding=1, bias=False, gain=1.0),
-        nn.Identity() if inputs == outputs else EquivariantConv2d(inputs, outputs, 1, bias=False, gain=1.0),
+        nn.Identity() if inputs == outputs else shortcut(),
     )
 
 
@@ -135,13 +139,14 @@ def _narrowed(in_channels: int, channels: int, out_channels: int) -> nn.Sequenti
     return nn.Sequential(_plain_block(in_channels, channels), nn.Conv2d(channels, out_channels, 1))
 
 
-def equivariant_unet(in_channels: int, group: Group, fields: Sequence[int]) -> UNet:
+def equivariant_unet(in_channels: int, group: Group, fields: Sequence[int], skip_kernel: int = 3) -> UNet:
     """
     Make the equivariant U-Net (the authors' code) of regular fields and 3 x 3 filters.
 
     :param in_channels: channels of the image, all scalar (trivial fields)
     :param group: symmetry group
     :param fields: regular fields of each level, from the image down; at least two levels
+    :param skip_kernel: side of the filters of shortcuts between different numbers of fields, 1 or 3
     """
 
     def regular(count: int) -> FieldType:
@@ -149,10 +154,10 @@ def equivariant_unet(in_channels: int, group: Group, fields: Sequence[int]) -> U
 
     types, image = [regular(count) for count in fields], FieldType.of((group.trivial, in_channels))
     stem = nn.Sequential(EquivariantConv2d(image, types[0], 3, padding=1), nn.ReLU(inplace=True))
-    downs: list[nn.Module] = [nn.Sequential(stem, _equivariant_block(types[0], types[0]))]
-    downs += [_equivariant_block(above, below) for above, below in pairwise(types)]
+    downs: list[nn.Module] = [nn.Sequential(stem, _equivariant_block(types[0], types[0], skip_kernel))]
+    downs += [_equivariant_block(above, below, skip_kernel) for above, below in pairwise(types)]
     ups = [
-        _equivariant_block(regular(side + below), regular(above))
+        _equivariant_block(regular(side + below), regular(above), skip_kernel)
         for side, below, above in _decoder_channels(fields)
     ]
     return UNet(downs, ups)

@@ -12,7 +12,7 @@ from stable_baselines3.sac.policies import Actor
 from torch import nn
 
 from sb3_extensions.common.action_sequence import ActionSequence
-from sb3_extensions.encoders.initialisation import OUTPUT_GAIN, scale_down
+from sb3_extensions.encoders.initialisation import SMALL_GAIN, initialise_output
 from sb3_extensions.equivariant.groups import FieldType
 from sb3_extensions.sacfd.heads import (
     EquivariantLogStd,
@@ -26,24 +26,23 @@ from sb3_extensions.sacfd.heads import (
 NetArch = list[int] | dict[str, list[int]]
 
 
-def normalised_mlp(*args: Any) -> list[nn.Module]:
-    """Return the layers of ``create_mlp(*args)`` with layer normalisation and Xavier uniform weights."""
+def xavier_mlp(*args: Any, normalise: bool) -> list[nn.Module]:
+    """Return the layers of ``create_mlp(*args)`` with Xavier uniform weights (the authors' code)."""
     norm: Any = partial(nn.LayerNorm, elementwise_affine=False)
-    layers = create_mlp(*args, post_linear_modules=[norm])  # type: ignore[misc]
+    layers = create_mlp(*args, post_linear_modules=[norm] if normalise else None)  # type: ignore[misc]
     for layer in layers:
         if isinstance(layer, nn.Linear):
-            nn.init.xavier_uniform_(layer.weight)
-            nn.init.zeros_(layer.bias)
+            initialise_output(layer, 1.0)
     return layers
 
 
-def normalise_actor(actor: Actor) -> Actor:
-    """Normalise hidden layers; start with means near 0 and standard deviations near 1."""
-    layers = normalised_mlp(actor.features_dim, -1, actor.net_arch, actor.activation_fn)
+def initialise_actor(actor: Actor, normalise: bool) -> Actor:
+    """Initialise the layers behind the encoder, with or without normalisation of the hidden ones."""
+    layers = xavier_mlp(actor.features_dim, -1, actor.net_arch, actor.activation_fn, normalise=normalise)
     actor.latent_pi = nn.Sequential(*layers)
     for output in (actor.mu, actor.log_std):
         if isinstance(output, nn.Linear):
-            scale_down(output)
+            initialise_output(output, SMALL_GAIN if normalise else 1.0)
     return actor
 
 
@@ -80,11 +79,11 @@ class MultiHeadCritic(ContinuousCritic):
     def _make_head(self) -> nn.Module:
         action_dim = get_action_dim(self.action_space)
         arguments = (self.features_dim + action_dim, self.n_outputs, self.net_arch, self.activation_fn)
-        if not self.normalise:
-            return nn.Sequential(*create_mlp(*arguments))
-        layers = normalised_mlp(*arguments)
-        scale_down(layers[-1])  # type: ignore[arg-type]
-        return nn.Sequential(InputNormalisation(self.features_dim, action_dim), *layers)
+        layers = xavier_mlp(*arguments, normalise=self.normalise)
+        if self.normalise:
+            initialise_output(layers[-1], SMALL_GAIN)
+            layers.insert(0, InputNormalisation(self.features_dim, action_dim))
+        return nn.Sequential(*layers)
 
 
 class EquivariantActor(Actor):
@@ -132,7 +131,7 @@ class EquivariantActor(Actor):
         self.use_sde = False
         action_dim = get_action_dim(action_space)
         action = ActionSequence(action_sequence, action_dim)
-        gain = OUTPUT_GAIN if normalise else 1.0
+        gain = SMALL_GAIN if normalise else 1.0
         hidden_type = in_type = features_type(features_extractor)
         if net_arch:
             hidden_type = FieldType.of((in_type.group.regular, net_arch[-1]))

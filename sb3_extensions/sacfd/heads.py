@@ -10,7 +10,7 @@ from torch import nn
 from torch.nn import functional as F
 
 from sb3_extensions.common.action_sequence import ActionSequence
-from sb3_extensions.encoders.initialisation import scale_down
+from sb3_extensions.encoders.initialisation import SMALL_GAIN, initialise_output
 from sb3_extensions.equivariant.groups import FieldType, Group
 from sb3_extensions.equivariant.layers import EquivariantLinear, GroupMaxPool
 
@@ -114,8 +114,8 @@ class InvariantValue(nn.Module):
         self.pool = GroupMaxPool(FieldType.of((in_type.group.regular, net_arch[-1])))
         self.value = nn.Linear(net_arch[-1], outputs)
         self.normalisation: nn.Module = nn.Identity()
+        initialise_output(self.value, SMALL_GAIN if normalise else 1.0)
         if normalise:
-            scale_down(self.value)
             self.normalisation = InputNormalisation(in_type.size, action.action_dim)
         places = [*range(in_type.size), *(in_type.size + place for place in action.places(FIELD_ORDER))]
         self.register_buffer("index", th.tensor(places), persistent=False)

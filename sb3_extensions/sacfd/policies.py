@@ -16,7 +16,7 @@ from sb3_extensions.sacfd.actor_critic import (
     EquivariantCritic,
     MultiHeadCritic,
     NetArch,
-    normalise_actor,
+    initialise_actor,
 )
 
 
@@ -122,8 +122,7 @@ class MultiInputPolicy(SACfDPolicy):
 
     def make_actor(self, features_extractor: BaseFeaturesExtractor | None = None) -> Actor:
         """Create the actor."""
-        actor = super().make_actor(features_extractor)
-        return normalise_actor(actor) if self.normalise else actor
+        return initialise_actor(super().make_actor(features_extractor), self.normalise)
 
 
 class StatePolicy(MultiInputPolicy):

@@ -9,7 +9,7 @@ from torch import nn
 from torch.nn import functional as F
 
 from sb3_extensions.encoders.cnn import Stage, resize, stack_stages
-from sb3_extensions.encoders.initialisation import OUTPUT_GAIN, initialise_xavier, scale_down
+from sb3_extensions.encoders.initialisation import initialise_output, initialise_xavier
 from sb3_extensions.encoders.observation import SceneView, View
 from sb3_extensions.encoders.patch_encoders import PatchMap, PatchVector
 from sb3_extensions.equivariant.convolution import apply_in_float32
@@ -53,6 +53,7 @@ class Level(nn.Module):
         self.choices = len(codec.grids[name])
         self.in_hand_channels, self.patch_size = scene_view.in_hand_shape or (0, PATCH_SIZE)
         self.mean, self.std = scene_view.standardise
+        self.scale = scene_view.patch_scale
 
     def forward(self, view: View, encoding: th.Tensor, indices: th.Tensor) -> th.Tensor:
         """
@@ -65,7 +66,7 @@ class Level(nn.Module):
 
     def patch(self, view: View, indices: th.Tensor, angles: th.Tensor | None = None) -> th.Tensor:
         """Return the heightmap around the pixel and the in-hand image, (batch, channels, side, side)."""
-        patch = crop_patches(view.image, indices[:, 0], indices[:, 1], self.patch_size, angles)
+        patch = self.scale * crop_patches(view.image, indices[:, 0], indices[:, 1], self.patch_size, angles)
         return patch if view.in_hand is None else th.cat([patch, view.in_hand], dim=1)
 
     def project(
@@ -85,7 +86,7 @@ class Level(nn.Module):
         projections = orthographic_projections(
             view.heights, *pixel, z, rotations, self.patch_size, self.codec.resolution
         )
-        images = (projections - self.mean) / self.std
+        images = self.scale * (projections - self.mean) / self.std
         if view.in_hand is not None:
             in_hand = view.in_hand[:, None].expand(-1, images.shape[1], -1, -1, -1)
             images = th.cat([images, in_hand], dim=2)
@@ -118,6 +119,7 @@ class PlainRotations(Level):
     :param encoding_shape: (channels, side, side)
     :param channels: channels of the three convolutions on the patch
     :param hidden: units of the hidden layer
+    :param output_gain: factor of the initial weights of the last layer
     """
 
     def __init__(
@@ -127,6 +129,7 @@ class PlainRotations(Level):
         encoding_shape: tuple[int, int, int],
         channels: Sequence[int],
         hidden: int,
+        output_gain: float = 1.0,
     ) -> None:
         super().__init__(codec, "theta", scene_view)
         self.encoder = PatchMap(1 + self.in_hand_channels, channels)
@@ -134,7 +137,7 @@ class PlainRotations(Level):
         last = nn.Linear(hidden, PRIMITIVES * self.choices)
         self.head = nn.Sequential(*create_mlp(features, -1, [hidden]), last)
         self.head.apply(initialise_xavier)
-        scale_down(last)
+        initialise_output(last, output_gain)
 
     def forward(self, view: View, encoding: th.Tensor, indices: th.Tensor) -> th.Tensor:
         """:return: (batch, yaws)"""
@@ -156,6 +159,7 @@ class EquivariantRotations(Level):
     :param hidden: units of the two linear layers on each, the encoding and the in-hand image
     :param pool_encoding: use the maximum of each channel of the encoding over its pixels, so that yaws also
         shift when the whole scene rotates by 90 degrees. Otherwise use the whole encoding (the authors' code)
+    :param output_gain: factor of the initial weights of the last layer
     :raises ValueError: if the number of ``fields`` is not the number of stages for patches of this size
     """
 
@@ -168,6 +172,7 @@ class EquivariantRotations(Level):
         in_hand_channels: Sequence[int],
         hidden: Sequence[int],
         pool_encoding: bool = False,
+        output_gain: float = 1.0,
     ) -> None:
         super().__init__(codec, "theta", scene_view)
         larger = (size for size in PATCH_STAGES if size >= self.patch_size)
@@ -192,11 +197,11 @@ class EquivariantRotations(Level):
         features = hidden[-1] * (1 if self.in_hand is None else 2)
         self.coefficients = coefficient_layer(self.dynamic, features)
         yaws = FieldType.of((group.quotient(2), PRIMITIVES))
-        self.head = EquivariantConv2d(types[-1], yaws, 1, gain=OUTPUT_GAIN)
+        self.head = EquivariantConv2d(types[-1], yaws, 1, gain=output_gain)
 
     def forward(self, view: View, encoding: th.Tensor, indices: th.Tensor) -> th.Tensor:
         """:return: (batch, yaws)"""
-        patch = crop_patches(view.image, indices[:, 0], indices[:, 1], self.patch_size)
+        patch = self.scale * crop_patches(view.image, indices[:, 0], indices[:, 1], self.patch_size)
         features = self.encoder(resize(patch, self.encoded_size))
         scene = encoding.amax(dim=(2, 3)) if self.pool_encoding else encoding.flatten(1)
         condition = self.scene(scene)
@@ -217,6 +222,7 @@ class PlainLevel(Level):
     :param encoding_shape: (channels, side, side)
     :param channels: channels of the convolutions on the patch
     :param hidden: units of the two linear layers on each, the patch and the encoding
+    :param output_gain: factor of the initial weights of the last layer
     """
 
     def __init__(
@@ -227,6 +233,7 @@ class PlainLevel(Level):
         encoding_shape: tuple[int, int, int],
         channels: Sequence[int] = PATCH_CHANNELS,
         hidden: Sequence[int] = PATCH_HIDDEN,
+        output_gain: float = 1.0,
     ) -> None:
         super().__init__(codec, name, scene_view)
         self.projects = name in ("phi", "psi")
@@ -243,7 +250,7 @@ class PlainLevel(Level):
         )
         self.scene.apply(initialise_xavier)
         self.head = nn.Linear(2 * hidden[-1], PRIMITIVES * self.choices)
-        scale_down(self.head)
+        initialise_output(self.head, output_gain)
 
     def forward(self, view: View, encoding: th.Tensor, indices: th.Tensor) -> th.Tensor:
         """:return: (batch, values of the number)"""
@@ -270,12 +277,13 @@ class DeicticLevel(Level):
         scene_view: SceneView,
         channels: Sequence[int] = PATCH_CHANNELS,
         hidden: Sequence[int] = PATCH_HIDDEN,
+        output_gain: float = 1.0,
     ) -> None:
         super().__init__(codec, name, scene_view)
         in_channels = PROJECTIONS + self.in_hand_channels
         self.encoder = PatchVector(in_channels, self.patch_size, channels, hidden, SMALL_PATCH_SIDE)
         self.head = nn.Linear(hidden[-1], PRIMITIVES)
-        scale_down(self.head)
+        initialise_output(self.head, output_gain)
 
     def forward(self, view: View, encoding: th.Tensor, indices: th.Tensor) -> th.Tensor:
         """:return: (batch, values of the number)"""

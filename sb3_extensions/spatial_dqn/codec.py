@@ -31,8 +31,8 @@ class SpatialActionCodec:
 
     The indices are ``(row, column, theta, z, phi, psi)``, or fewer if the action sequence lacks numbers. The
     centre of pixel (i, j) of the heightmap is x = (2 i + 1) / size - 1, y = (2 j + 1) / size - 1. A rotation
-    of the gripper by pi with inverted tilts is the same pose, so yaws are modulo pi. The default grid is the
-    paper's (appendix "Benchmark Details").
+    of the gripper by pi with inverted tilts is the same pose, so yaws are modulo pi. The default grid is
+    that of the authors' code.
 
     :param size: side of the heightmap, pixels
     :param action_sequence: one character for each number of an action: p primitive (-1 pick, 1 place), x and
@@ -55,7 +55,7 @@ class SpatialActionCodec:
     num_heights: int = 36
     heights: tuple[float, float] = (0.02, 0.20)
     num_tilts: int = 7
-    tilt: float = math.pi / 6.0
+    tilt: float = math.pi / 8.0
     workspace_size: float = 0.4
     z_bounds: tuple[float, float] = (0.0, 0.3)
     theta_bounds: tuple[float, float] = (0.0, math.pi)

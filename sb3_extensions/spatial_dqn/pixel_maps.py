@@ -8,7 +8,7 @@ from torch import nn
 from torch.nn import functional as F
 
 from sb3_extensions.common.components import check_positive
-from sb3_extensions.encoders.initialisation import OUTPUT_GAIN, scale_down
+from sb3_extensions.encoders.initialisation import initialise_output
 from sb3_extensions.encoders.observation import View
 from sb3_extensions.encoders.patch_encoders import LAST_SIDE_OF_PIXELS, PatchMap, PatchVector
 from sb3_extensions.encoders.unet import equivariant_unet, lowest_shape, plain_unet
@@ -58,6 +58,7 @@ class PlainPixelMaps(PixelMaps):
     :param channels: channels of each level, see :func:`~sb3_extensions.encoders.unet.plain_unet`
     :param in_hand_channels: channels of the three convolutions on the in-hand image
     :param rotations: number of yaws
+    :param output_gain: factor of the initial weights of the last layer
     """
 
     def __init__(
@@ -67,12 +68,13 @@ class PlainPixelMaps(PixelMaps):
         channels: Sequence[int] = CHANNELS,
         in_hand_channels: Sequence[int] = PATCH_MAP_CHANNELS,
         rotations: int = 1,
+        output_gain: float = 1.0,
     ) -> None:
         super().__init__(rotations, lowest_shape(size, channels))
         self.in_hand = PatchMap(in_hand[0], in_hand_channels) if in_hand else None
         self.unet = plain_unet(1, channels, in_hand_channels[-1] if in_hand else 0)
         self.head = nn.Conv2d(channels[0], PRIMITIVES * rotations, 1)
-        scale_down(self.head)
+        initialise_output(self.head, output_gain)
 
     def forward(self, view: View) -> tuple[th.Tensor, th.Tensor]:
         """:return: values (batch, yaws, size, size), encoding"""
@@ -101,10 +103,11 @@ class RotatedPixelMaps(PixelMaps):
         channels: Sequence[int] = CHANNELS,
         in_hand_channels: Sequence[int] = PATCH_MAP_CHANNELS,
         rotations: int = 1,
+        output_gain: float = 1.0,
     ) -> None:
         multiple = 2 ** (len(channels) - 1)
         canvas = math.ceil(size * math.sqrt(2.0) / multiple) * multiple
-        network = PlainPixelMaps(canvas, in_hand, channels, in_hand_channels)
+        network = PlainPixelMaps(canvas, in_hand, channels, in_hand_channels, output_gain=output_gain)
         super().__init__(rotations, network.encoding_shape)
         self.network, self.canvas = network, canvas
         angles = th.arange(rotations) * (math.pi / rotations)
@@ -137,6 +140,7 @@ class EquivariantPixelMaps(PixelMaps):
     :param rotations: number of yaws: 1, or half of the group's rotations
     :param dynamic_fields: regular fields after the predicted filter, by default ``fields[0]`` (the authors'
         code). With one or two fields the ReLU may be inactive everywhere, forever
+    :param skip_kernel: see :func:`~sb3_extensions.encoders.unet.equivariant_unet`
     :raises ValueError: if the yaws do not match the group, or ``dynamic_fields`` is not positive
     """
 
@@ -150,6 +154,8 @@ class EquivariantPixelMaps(PixelMaps):
         hidden: int = 1024,
         rotations: int = 1,
         dynamic_fields: int | None = None,
+        output_gain: float = 1.0,
+        skip_kernel: int = 3,
     ) -> None:
         if rotations != 1 and (group.family, group.n) != ("cyclic", 2 * rotations):
             raise ValueError(
@@ -159,7 +165,7 @@ class EquivariantPixelMaps(PixelMaps):
         check_positive(dynamic_fields=dynamic_fields)
         super().__init__(rotations, lowest_shape(size, fields))
         regular, lowest = (FieldType.of((group.regular, fields[level])) for level in (0, -1))
-        self.unet = equivariant_unet(1, group, fields)
+        self.unet = equivariant_unet(1, group, fields, skip_kernel)
         self.pool = GroupMaxPool(lowest)
         self.dynamic: DynamicEquivariantConv2d | None = None
         placed = regular
@@ -168,7 +174,7 @@ class EquivariantPixelMaps(PixelMaps):
             self.dynamic = DynamicEquivariantConv2d(regular, placed, 3, padding=1)
             encoder = PatchVector(*in_hand, in_hand_channels, [hidden], LAST_SIDE_OF_PIXELS)
             self.coefficients = nn.Sequential(encoder, coefficient_layer(self.dynamic, hidden))
-        self.heads = nn.ModuleList(_head(in_type, rotations) for in_type in (regular, placed))
+        self.heads = nn.ModuleList(_head(in_type, rotations, output_gain) for in_type in (regular, placed))
 
     def forward(self, view: View) -> tuple[th.Tensor, th.Tensor]:
         """:return: values (batch, yaws, size, size), encoding"""
@@ -203,17 +209,17 @@ def _apply_head(head: nn.Module, features: th.Tensor) -> th.Tensor:
     return apply_in_float32(last, features)
 
 
-def _head(regular: FieldType, rotations: int) -> nn.Sequential:
+def _head(regular: FieldType, rotations: int, gain: float) -> nn.Sequential:
     """Return the layers from regular fields to the values of all yaws."""
     group = regular.group
     if rotations > 1:
         yaws = FieldType.of((group.quotient(2), 1))
-        return nn.Sequential(EquivariantConv2d(regular, yaws, 1, gain=OUTPUT_GAIN))
+        return nn.Sequential(EquivariantConv2d(regular, yaws, 1, gain=gain))
     hidden, value = (FieldType.of((group.trivial, count)) for count in (HEAD_CHANNELS, 1))
     return nn.Sequential(
         EquivariantConv2d(regular, hidden, 3, padding=1),
         nn.ReLU(inplace=True),
-        EquivariantConv2d(hidden, value, 1, gain=OUTPUT_GAIN),
+        EquivariantConv2d(hidden, value, 1, gain=gain),
     )
 
 

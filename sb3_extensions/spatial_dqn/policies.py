@@ -21,7 +21,7 @@ from sb3_extensions.spatial_dqn.asr_heads import (
     PlainLevel,
     PlainRotations,
 )
-from sb3_extensions.spatial_dqn.codec import DEFAULT_SEQUENCE, SpatialActionCodec
+from sb3_extensions.spatial_dqn.codec import ANGLES, DEFAULT_SEQUENCE, SpatialActionCodec
 from sb3_extensions.spatial_dqn.pixel_maps import (
     CHANNELS,
     FIELDS,
@@ -38,6 +38,11 @@ PATCH_FIELDS = (8, 16, 32, 32, 16)
 """Regular fields of the convolutions on the patch (the authors' code)."""
 HIDDEN = (1024, 512)
 """Units of the linear layers of :class:`EquivariantASRPolicy` (the authors' code)."""
+TILTED_PATCH_SCALE = 300.0
+"""Factor (1/m) of patches, projections and in-hand images in 6D: the authors' code multiplies patches by 300,
+and counts voxels of 3 mm in the others."""
+WEIGHT_DECAY = 1e-5
+"""Weight decay of Adam (paper, appendix "Benchmark Details")."""
 
 
 class SpatialPolicy(BasePolicy):
@@ -54,8 +59,11 @@ class SpatialPolicy(BasePolicy):
     :param codec_kwargs: further parameters of :class:`~sb3_extensions.spatial_dqn.codec.SpatialActionCodec`
     :param network_kwargs: channels and fields of the networks, see the subclass
     :param autocast: see :class:`~sb3_extensions.spatial_dqn.q_network.SpatialQNetwork`
+    :param patch_scale: see :class:`~sb3_extensions.encoders.observation.SceneView`. None for the value of the
+        authors' code: 300 for sequences with tilts, otherwise 1
     :param optimizer_class: The optimizer to use, ``th.optim.Adam`` by default
-    :param optimizer_kwargs: Additional keyword arguments, excluding the learning rate
+    :param optimizer_kwargs: Additional keyword arguments, excluding the learning rate. ``weight_decay`` is
+        1e-5 by default for Adam (paper)
     :raises ValueError: if the action space does not match the sequence or is not bounded, or the networks do
         not match the images or the sequence
     """
@@ -74,14 +82,16 @@ class SpatialPolicy(BasePolicy):
         image_key: str = "heightmap",
         in_hand_key: str = "in_hand",
         holding_key: str = "holding",
+        patch_scale: float | None = None,
         optimizer_class: type[th.optim.Optimizer] = th.optim.Adam,
         optimizer_kwargs: dict[str, Any] | None = None,
     ) -> None:
+        decay = {"weight_decay": WEIGHT_DECAY} if issubclass(optimizer_class, th.optim.Adam) else {}
         super().__init__(
             observation_space,
             action_space,
             optimizer_class=optimizer_class,
-            optimizer_kwargs=optimizer_kwargs,
+            optimizer_kwargs={**decay, **(optimizer_kwargs or {})},
             squash_output=True,  # actions are in [-1, 1], predict() returns them in the environment's units
         )
         if action_space.shape != (len(action_sequence),) or not action_space.is_bounded():
@@ -92,12 +102,15 @@ class SpatialPolicy(BasePolicy):
         self.action_sequence = action_sequence
         self.codec_kwargs, self.network_kwargs = codec_kwargs or {}, network_kwargs or {}
         self.autocast = autocast
+        if patch_scale is None:
+            patch_scale = TILTED_PATCH_SCALE if action_sequence.count("r") == len(ANGLES) else 1.0
         self.view_kwargs: dict[str, Any] = {
             "quantise": quantise,
             "standardise": standardise,
             "image_key": image_key,
             "in_hand_key": in_hand_key,
             "holding_key": holding_key,
+            "patch_scale": patch_scale,
         }
         size = SceneView(observation_space, **self.view_kwargs).size
         self.codec = SpatialActionCodec(size, action_sequence, **self.codec_kwargs)
@@ -186,7 +199,8 @@ class FCNPolicy(SpatialPolicy):
     Plain U-Net that values every pixel and yaw (FCN).
 
     Parameters of ``network_kwargs``: ``channels`` of the levels, ``in_hand_channels`` of the three
-    convolutions on the in-hand image. See :class:`SpatialPolicy` for the other parameters.
+    convolutions on the in-hand image, ``output_gain`` of the last layer. See :class:`SpatialPolicy` for the
+    other parameters.
     """
 
     maps_class: ClassVar[type[PlainPixelMaps | RotatedPixelMaps]] = PlainPixelMaps
@@ -211,7 +225,7 @@ class EquivariantFCNPolicy(SpatialPolicy):
     Equivariant U-Net that values every pixel and yaw (Equivariant FCN).
 
     The group is D_4 if actions have no yaw, otherwise C_2n for n yaws. Parameters of ``network_kwargs``:
-    ``fields``, ``in_hand_channels``, ``hidden`` and ``dynamic_fields`` of
+    ``fields``, ``in_hand_channels``, ``hidden``, ``dynamic_fields``, ``output_gain`` and ``skip_kernel`` of
     :class:`~sb3_extensions.spatial_dqn.pixel_maps.EquivariantPixelMaps`.
     """
 
@@ -228,7 +242,8 @@ class ASRPolicy(SpatialPolicy):
 
     Parameters of ``network_kwargs``: ``channels`` of the levels of the U-Net, ``in_hand_channels`` of the
     three convolutions on the in-hand image and on the patch around the pixel, and ``hidden`` units of the
-    layer on the patch. In 6D also ``patch_channels`` and ``patch_hidden`` of each level after the pixel.
+    layer on the patch, and ``output_gain`` of the last layers. In 6D also ``patch_channels`` and
+    ``patch_hidden`` of each level after the pixel.
     """
 
     def make_levels(  # type: ignore[override]
@@ -239,13 +254,16 @@ class ASRPolicy(SpatialPolicy):
         hidden: int = 1024,
         patch_channels: Sequence[int] = PATCH_CHANNELS,
         patch_hidden: Sequence[int] = PATCH_HIDDEN,
+        output_gain: float = 1.0,
     ) -> tuple[PixelMaps, list[Level]]:
         """:return: level of the pixel, further levels"""
-        pixels = PlainPixelMaps(view.size, view.in_hand_shape, channels, in_hand_channels)
+        widths: tuple[Any, ...] = (channels, in_hand_channels, 1, output_gain)
+        pixels = PlainPixelMaps(view.size, view.in_hand_shape, *widths)
         names, encoding = list(self.codec.grids), pixels.encoding_shape
         if names == ["theta"]:
-            return pixels, [PlainRotations(self.codec, view, encoding, in_hand_channels, hidden)]
-        widths = (patch_channels, patch_hidden)
+            widths = (in_hand_channels, hidden, output_gain)
+            return pixels, [PlainRotations(self.codec, view, encoding, *widths)]
+        widths = (patch_channels, patch_hidden, output_gain)
         return pixels, [PlainLevel(self.codec, name, view, encoding, *widths) for name in names]
 
 
@@ -256,7 +274,8 @@ class EquivariantASRPolicy(SpatialPolicy):
     The network of the pixel is equivariant to D_4, the network of n yaws to C_2n. Height and tilts are valued
     from projections around the gripper. Parameters of ``network_kwargs``:
 
-    - ``fields``, ``dynamic_fields``: see :class:`~sb3_extensions.spatial_dqn.pixel_maps.EquivariantPixelMaps`
+    - ``fields``, ``dynamic_fields``, ``skip_kernel``, ``output_gain`` (of the last layers): see
+      :class:`~sb3_extensions.spatial_dqn.pixel_maps.EquivariantPixelMaps`
     - ``patch_fields`` (the ``fields``), ``in_hand_channels``, ``hidden`` and ``pool_encoding``: see
       :class:`~sb3_extensions.spatial_dqn.asr_heads.EquivariantRotations`
     - ``patch_channels``, ``patch_hidden``: channels and units of the levels after the yaw (6D)
@@ -273,15 +292,17 @@ class EquivariantASRPolicy(SpatialPolicy):
         pool_encoding: bool = False,
         patch_channels: Sequence[int] = PATCH_CHANNELS,
         patch_hidden: Sequence[int] = PATCH_HIDDEN,
+        output_gain: float = 1.0,
+        skip_kernel: int = 3,
     ) -> tuple[PixelMaps, list[Level]]:
         """:return: level of the pixel, further levels"""
-        pixel_widths = (fields, in_hand_channels, hidden[0], 1, dynamic_fields)
+        pixel_widths = (fields, in_hand_channels, hidden[0], 1, dynamic_fields, output_gain, skip_kernel)
         pixels = EquivariantPixelMaps(view.size, view.in_hand_shape, Group("dihedral", 4), *pixel_widths)
-        yaw_widths = (patch_fields, in_hand_channels, hidden, pool_encoding)
+        yaw_widths = (patch_fields, in_hand_channels, hidden, pool_encoding, output_gain)
 
         def make_level(name: str) -> Level:
             if name == "theta":
                 return EquivariantRotations(self.codec, view, pixels.encoding_shape, *yaw_widths)
-            return DeicticLevel(self.codec, name, view, patch_channels, patch_hidden)
+            return DeicticLevel(self.codec, name, view, patch_channels, patch_hidden, output_gain)
 
         return pixels, [make_level(name) for name in self.codec.grids]

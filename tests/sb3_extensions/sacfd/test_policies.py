@@ -119,8 +119,8 @@ def test_cnn_policy_is_the_papers():
         layers = [layer for layer in network.modules() if isinstance(layer, nn.Linear)]
         widths[name] = [(layer.in_features, layer.out_features) for layer in layers]
         for layer in layers:
-            bound = layer.in_features**-0.5  # PyTorch's initialisation
-            assert 0.8 * bound < layer.weight.abs().max() <= bound
+            bound = (6.0 / (layer.in_features + layer.out_features)) ** 0.5  # Xavier uniform
+            assert 0.8 * bound < layer.weight.abs().max() <= bound and not layer.bias.any()
     assert widths == {"actor": [(128, 5), (128, 5)], "critic": [(133, 128), (128, 1)] * 2}
 
 

@@ -5,8 +5,8 @@ import torch as th
 
 from sb3_extensions.spatial_dqn import SDQfD, SpatialDQN
 
-PLAIN = {"channels": [4, 8, 8], "in_hand_channels": [4, 4, 8]}
-EQUIVARIANT = {"fields": [4, 4, 6], "in_hand_channels": [4, 4, 8, 8]}
+PLAIN = {"channels": [4, 8, 8], "in_hand_channels": [4, 4, 8], "output_gain": 0.01}
+EQUIVARIANT = {"fields": [4, 4, 6], "in_hand_channels": [4, 4, 8, 8], "output_gain": 0.01}
 PATCHES = {"patch_channels": [4, 4, 8, 8], "patch_hidden": [16, 8]}
 NETWORKS = {
     "FCNPolicy": PLAIN,
@@ -33,7 +33,7 @@ def small_kwargs(name, sequence, kwargs):
     """Return the arguments of a small policy."""
     grid = {"num_rotations": 4, "num_heights": 4, "num_tilts": 3}
     own = {"action_sequence": sequence, "codec_kwargs": grid, "network_kwargs": NETWORKS[name]}
-    return {**own, "standardise": (0.0, 0.03), **(kwargs or {})}
+    return {**own, "standardise": (0.0, 0.03), "patch_scale": 1.0, **(kwargs or {})}
 
 
 @pytest.fixture

@@ -77,7 +77,9 @@ def test_order_of_indices_and_default_grid():
     np.testing.assert_allclose(codec.grids["theta"], np.arange(16) * math.pi / 16)
     np.testing.assert_allclose(codec.grids["z"][[0, -1]], [0.02, 0.20])
     for name in ("phi", "psi"):
-        np.testing.assert_allclose(np.degrees(codec.grids[name]), [-30, -20, -10, 0, 10, 20, 30], atol=1e-9)
+        np.testing.assert_allclose(
+            np.degrees(codec.grids[name]), [-22.5, -15, -7.5, 0, 7.5, 15, 22.5], atol=1e-9
+        )
 
 
 @pytest.mark.parametrize(

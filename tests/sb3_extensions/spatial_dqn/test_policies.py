@@ -155,7 +155,21 @@ def test_invalid_arguments_are_rejected(name, changes, named, make_picking, make
         make_policy(name, sequence, env, **changes)
 
 
-def test_default_widths_are_the_authors():
+def test_patches_and_projections_are_in_the_units_of_the_authors(make_picking, make_policy):
+    """In 6D in 1/300 m, like voxels of 3 mm."""
+    scaled, metres = (
+        make_policy("ASRPolicy", "pxyzrrr", standardise=(0.0, 1.0), patch_scale=scale)
+        for scale in (None, 1.0)
+    )
+    scenes, _ = metres.obs_to_tensor(make_picking(2, action_sequence="pxyzrrr").reset())
+    indices, _ = metres.q_net.greedy(scenes)
+    for level, plain in zip(scaled.q_net.levels, metres.q_net.levels, strict=True):
+        images = level.inputs(scaled.q_net.scene_view(scenes), indices)
+        th.testing.assert_close(images, 300.0 * plain.inputs(metres.q_net.scene_view(scenes), indices))
+    assert make_policy("ASRPolicy", "pxyr", patch_scale=None).q_net.scene_view.patch_scale == 1.0
+
+
+def test_default_arguments_are_the_authors():
     """The first layers of each network; the others follow from them."""
     shapes = {"heightmap": (1, 32, 32), "in_hand": (1, 24, 24), "holding": (1,)}
     space = spaces.Dict({name: spaces.Box(0.0, 0.4, shape, np.float32) for name, shape in shapes.items()})
@@ -165,4 +179,11 @@ def test_default_widths_are_the_authors():
     sizes = [tuple(layer.weight.shape[:2]) for layer in layers]
     assert sizes[:3] == [(64, 1), (128, 64), (256, 128)] and sizes[-1] == (2, 32)
     steerable = EquivariantASRPolicy(space, actions, lambda _: 1e-4, action_sequence="pxy")
-    assert steerable.q_net.pixel_maps.encoding_shape == (128, 2, 2)
+    maps = steerable.q_net.pixel_maps
+    assert maps.encoding_shape == (128, 2, 2)
+    assert maps.unet.downs[1].skip.kernel_size == 3
+    bound = (6.0 / (2 + 32)) ** 0.5
+    assert 0.8 * bound < plain.q_net.pixel_maps.head.weight.abs().max() <= bound
+    assert plain.optimizer.defaults["weight_decay"] == 1e-5
+    other = FCNPolicy(space, actions, lambda _: 1e-4, action_sequence="pxy", optimizer_class=th.optim.Rprop)
+    assert "weight_decay" not in other.optimizer.defaults

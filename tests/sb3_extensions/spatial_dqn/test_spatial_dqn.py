@@ -320,7 +320,7 @@ def test_invalid_arguments_are_rejected(kwargs, named, make_model):
 
 def test_agent_learns_to_pick_and_place(make_picking, make_model):
     """From 40 demonstrations, in some hundred updates."""
-    networks = {"channels": [4, 8, 8], "in_hand_channels": [8, 16, 16], "hidden": 32}
+    networks = {"channels": [4, 8, 8], "in_hand_channels": [8, 16, 16], "hidden": 32, "output_gain": 0.01}
     kwargs = {"expert_episodes": 40, "buffer_size": 500, "batch_size": 16, "learning_rate": 3e-3}
     kwargs |= {"gamma": 0.9, "policy_kwargs": {"network_kwargs": networks}, "pretrain_steps": 100}
     model = make_model(ASR, SDQfD, make_picking(size=24), **kwargs)
