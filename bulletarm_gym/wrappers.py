@@ -14,7 +14,7 @@ from gymnasium.wrappers.utils import rescale_box
 from numpy.typing import NDArray
 from PIL import Image
 
-from bulletarm_gym.config_checks import check_argument, integer, mapping, optional
+from bulletarm_gym.config_checks import ParameterError, check_argument, integer, mapping, optional
 from bulletarm_gym.registry import time_limit_spec
 
 WHITE = 255
@@ -210,6 +210,7 @@ def own_time_limit(env: gymnasium.Env[Any, Any], known: int | None) -> gymnasium
 
     :param known: limit in the spec of another environment, which is kept unless a limit is passed to
         ``make()``
+    :raises ParameterError: ``max_steps`` and another ``max_episode_steps`` are passed
     """
     core: Any = env.unwrapped
     spec, limit = core.spec, known
@@ -218,6 +219,9 @@ def own_time_limit(env: gymnasium.Env[Any, Any], known: int | None) -> gymnasium
     elif sys._getframe(1).f_locals.get("max_episode_steps") == -1:  # make() leaves no other trace of it
         limit = UNLIMITED
     if limit is not None and limit != known:
+        if "max_steps" in spec.kwargs and core.config.max_steps not in (known, limit):
+            must = "omitted if max_episode_steps is passed"
+            raise ParameterError.of("max_steps", core.config.max_steps, must)
         core.limit_steps(limit)
         spec = replace(spec, kwargs={**spec.kwargs, "max_steps": limit})
     if env is not core:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import label
 
 from bulletarm_gym.config import OPEN_LOOP, EnvConfig
+from bulletarm_gym.config_checks import check_argument, choice, instance
 from bulletarm_gym.control.control import Control, GraspParams, Outcome, RobotInterface, grid_positions
 from bulletarm_gym.geometry import Pose, Rectangle, Vector, euler_pose, matrix
 from bulletarm_gym.observations import ElevationMap, Frame, View
@@ -208,8 +209,8 @@ class OpenLoop(Control[PickPlace]):
 
         :raises ValueError: the primitive is unknown
         """
-        if move.primitive not in (PICK, PLACE):
-            raise ValueError(f"primitive must be {PICK!r} or {PLACE!r}, got {move.primitive!r}")
+        move = check_argument("move", move, instance(PickPlace))
+        check_argument("primitive", move.primitive, choice(PICK, PLACE))
         theta, phi, psi = move.rotation
         low, high = self.ranges.get("theta", (-math.pi, math.pi))
         if not low <= theta <= high:

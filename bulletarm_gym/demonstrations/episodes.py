@@ -149,16 +149,26 @@ class Demonstrations(Sequence[Episode]):
     def __len__(self) -> int:
         return self._count
 
+    def __repr__(self) -> str:
+        return f"<Demonstrations: {len(self)} episodes of {self.env_id}>"
+
     @overload
     def __getitem__(self, index: int) -> Episode: ...
     @overload
-    def __getitem__(self, index: slice) -> "Demonstrations": ...
+    def __getitem__(self, index: slice | Sequence[int] | NDArray[Any]) -> "Demonstrations": ...
 
-    def __getitem__(self, index: int | slice) -> "Episode | Demonstrations":
-        """Return an episode, or the demonstrations of a slice, whose ``attempts`` are its episodes."""
-        chosen = range(self._count)[index]
+    def __getitem__(self, index: int | slice | Sequence[int] | NDArray[Any]) -> "Episode | Demonstrations":
+        """Return an episode, or the demonstrations of a slice, of a list of numbers or of a mask.
+
+        The ``attempts`` of a part are its episodes.
+
+        :raises IndexError: the index is not one of NumPy for a one-dimensional array
+        """
+        chosen = np.arange(self._count)[index]
+        if np.ndim(chosen) > 1:
+            raise IndexError(f"index must be an integer, a slice or a list of integers, got {index!r}")
         with self._file() as file:
-            if isinstance(chosen, int):
+            if np.ndim(chosen) == 0:
                 return _read(file["episodes"][str(chosen)])
             recorder = Recorder(self.about)
             for number in chosen:
