@@ -100,7 +100,7 @@ def rule(must: str, accepts: Callable[[Any], bool], convert: Callable[[Any], Any
         try:
             converted = convert(value)
             is_valid = accepts(converted)
-        except (ArithmeticError, LookupError, TypeError, ValueError):
+        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError):
             is_valid = False
         if not is_valid:
             raise Refused(must)
@@ -285,7 +285,7 @@ def _sensor(entry: Any, builtin: Sequence[str]) -> str | dict[str, Any]:
         return entry
     plain: dict[str, Any] = json.loads(json.dumps(dict(entry), default=_to_list))
     name = plain["name"]
-    if not name.isidentifier() or (name in builtin and plain.get("sensor", name) != name):
+    if not str.isidentifier(name) or (name in builtin and plain.get("sensor", name) != name):
         raise ValueError
     return plain
 

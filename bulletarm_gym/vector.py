@@ -18,7 +18,7 @@ from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import SyncVectorEnv, VectorEnv
 from numpy.typing import ArrayLike, NDArray
 
-from bulletarm_gym.config_checks import check_argument, instance, integer
+from bulletarm_gym.config_checks import check_argument, instance, integer, rule
 from bulletarm_gym.scene.state import EnvState
 
 TASK_ID = "task_id"
@@ -27,7 +27,7 @@ Observation = dict[str, NDArray[Any]]
 
 
 def make_multi_task_vec(
-    ids: Sequence[str | EnvSpec],
+    ids: Iterable[str | EnvSpec],
     envs_per_task: int = 1,
     vec_env_cls: Callable[[list[Callable[[], gymnasium.Env[Any, Any]]]], Any] = SyncVectorEnv,
     **kwargs: Any,
@@ -45,8 +45,8 @@ def make_multi_task_vec(
         shapes, or an environment already observes ``task_id``
     """
     check_argument("envs_per_task", envs_per_task, integer(1))
-    if isinstance(ids, str) or not ids:
-        raise ValueError(f"ids must be a list of at least one id, got {ids!r}")
+    names = rule("a list of at least one id", bool, lambda ids: [] if isinstance(ids, str) else list(ids))
+    ids = check_argument("ids", ids, names)
     observations, sequences, controls = zip(*(_describe(env_id, kwargs) for env_id in ids), strict=True)
     if len(set(controls)) > 1:
         raise ValueError(f"ids must all have one kind of control, got {', '.join(controls)}")

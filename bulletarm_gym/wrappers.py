@@ -14,13 +14,15 @@ from gymnasium.wrappers.utils import rescale_box
 from numpy.typing import NDArray
 from PIL import Image
 
-from bulletarm_gym.config_checks import ParameterError, check_argument, integer, mapping, optional
+from bulletarm_gym.config_checks import ParameterError, check_argument, integer, mapping, optional, rule
 from bulletarm_gym.registry import time_limit_spec
 
 WHITE = 255
 """Maximum value of a channel."""
 IMAGE_AXES = 3
 """Number of axes of an observed image: channels, rows, columns."""
+OWN = rule("an environment of this package", lambda env: hasattr(env.unwrapped, "scene"))
+"""Check of wrapped environments."""
 UNLIMITED = 2**31 - 1
 """Limit (steps) of an environment made with ``max_episode_steps=-1``."""
 
@@ -121,11 +123,12 @@ class InstructionInfo(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorAr
     A sentence is sampled at every reset; the seed of a reset determines it and the later ones.
 
     :param env: an environment of this package, perhaps wrapped
+    :raises ValueError: ``env`` is of another package
     """
 
     def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
         RecordConstructorArgs.__init__(self)
-        super().__init__(env)
+        super().__init__(check_argument("env", env, OWN))
         self._rng = np.random.default_rng()
 
     def reset(
@@ -149,13 +152,13 @@ class GoalObservation(gymnasium.ObservationWrapper[Any, Any, Any], RecordConstru
 
     :param env: environment that observes vectors, such as ``joint_state``, and whose task defines
         :meth:`~bulletarm_gym.tasks.Task.goals`: Block Reaching, Block Pushing, Block Pulling, Block Stacking
-    :raises ValueError: ``env`` observes images, or the task has no goals
+    :raises ValueError: ``env`` observes images or is of another package, or the task has no goals
     """
 
     def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
         RecordConstructorArgs.__init__(self)
         super().__init__(env)
-        core: Any = env.unwrapped
+        core: Any = check_argument("env", env, OWN).unwrapped
         self._core = core
         self._inner = env.observation_space
         parts = self._inner.values() if isinstance(self._inner, spaces.Dict) else [self._inner]

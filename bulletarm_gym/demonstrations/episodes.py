@@ -27,6 +27,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from bulletarm_gym.config_checks import check_argument, instance
 from bulletarm_gym.demonstrations import json_state
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.registry import register
@@ -108,7 +109,7 @@ class Demonstrations(Sequence[Episode]):
     def __init__(
         self, image: bytes, name: str = "demonstrations", object_set: str | os.PathLike[str] | None = None
     ) -> None:
-        self.image = image
+        self.image = check_argument("image", image, instance(bytes))
         self._changed = {} if object_set is None else {"object_set": os.path.abspath(object_set)}
         if not image.startswith(MAGIC):
             raise ValueError(f"{name}: not a file of demonstrations")

@@ -10,17 +10,19 @@ from rollouts import PICKING
 
 import bulletarm_gym
 from bulletarm_gym.config import TaskDefaults
-from bulletarm_gym.control import GraspParams
+from bulletarm_gym.control import DeltaMove, GraspParams
 from bulletarm_gym.demonstrations import Demonstrations, export_lerobot, export_minari, export_rlds
 from bulletarm_gym.demonstrations.robomimic import export_robomimic
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.objects import BodySpec, Box, Piece
+from bulletarm_gym.real_arm import open_loop_heightmap
 from bulletarm_gym.robots import KUKA, ParallelJaw, attach
 from bulletarm_gym.scene import ObjectSlot
 from bulletarm_gym.simulation.shapes import Slide
 from bulletarm_gym.tasks import Waypoint
 from bulletarm_gym.tasks.picking import BlockPicking
 from bulletarm_gym.vector import reset_to_states
+from bulletarm_gym.wrappers import GoalObservation
 
 BOX = Piece(Box((0.1, 0.1, 0.1)))
 SPEC = BodySpec("brick", (BOX,), 0.1)
@@ -92,6 +94,11 @@ def test_methods_name_the_argument(picking):
     cube, envs = picking.scene["cube"], gymnasium.make_vec(PICKING, 2, obs_size=16)
     calls = {
         ("move", "None"): partial(picking.encode_action, None),
+        ("move", "DeltaMove.*'1'"): partial(picking.encode_action, DeltaMove("1", (0.0, 0.0, 0.0))),
+        ("points", "'cloud'"): partial(open_loop_heightmap, "cloud"),
+        ("image", "'demos.h5'"): partial(Demonstrations, "demos.h5"),
+        ("env", "<.*CartPole"): partial(GoalObservation, gymnasium.make("CartPole-v1")),
+        ("observation", r"\[{'name': 3}\]"): partial(gymnasium.make, PICKING, observation=[{"name": 3}]),
         ("action", r"\['0'"): partial(picking.step, ["0"] * 5),
         ("pose", r"\(0\.4"): partial(cube.place, (0.4, 0.0, 0.1)),
         ("twist", r"\(0\.0"): partial(cube.place, cube.pose, (0.0, 0.0, 1.0)),
