@@ -36,12 +36,8 @@ SIZE = 128
 """Default side length (pixels) of heightmaps, ``obs_size``."""
 IN_HAND_SIZE = 24
 """Default side length (pixels) of in-hand images, ``in_hand_size``; 40 on bumps."""
-POINTS = rule(
-    "an array of numbers of shape (n, 3)",
-    lambda cloud: cloud.dtype.kind in "iuf" and cloud.ndim == 2 and cloud.shape[1] == 3,
-    np.asarray,
-)
-"""Check of points."""
+POINTS = rule("an array of numbers", lambda cloud: cloud.dtype.kind in "iuf", np.asarray)
+"""Check of points of any shape."""
 
 
 def close_loop_heightmap(
@@ -109,6 +105,8 @@ def elevation_map(heightmap: Heights, workspace: Limits = WORKSPACES[OPEN_LOOP])
 
 def _heightmap(points: ArrayLike, frame: Frame, ceiling: float, size: int) -> Heights:
     cloud = check_argument("points", points, POINTS).astype(np.float64)
+    if cloud.ndim != 2 or cloud.shape[1] != 3:
+        raise ValueError(f"points must be an array of shape (n, 3), got {cloud.shape}")
     check_argument("size", size, integer(1))
     cloud = cloud[np.isfinite(cloud).all(axis=1)]
     if not (np.abs(cloud[:, :2] - frame.centre) < frame.extent / 2.0).all(axis=1).any():
