@@ -180,6 +180,24 @@ KINDS = rule(
 )
 """Check of the kinds of controls of a task."""
 
+register_robot = ROBOTS.register
+"""Make a robot available as ``robot=name``.
+
+The component is a function without arguments that returns a :class:`~bulletarm_gym.robots.RobotModel`, or the
+import path of such a function or of a model. Raises as :meth:`Registry.register`.
+"""
+register_object = OBJECTS.register
+"""Make a kind of object available as ``objects.create(name, ...)`` and in ``object_set``.
+
+The component is a function ``make(name, scale)`` that returns a :class:`~bulletarm_gym.objects.BodySpec`.
+"""
+register_surface = SURFACES.register
+"""Make a subclass of :class:`~bulletarm_gym.surfaces.Surface` available as ``surface=name``."""
+register_sensor = SENSORS.register
+"""Make a subclass of :class:`~bulletarm_gym.observations.Sensor` available in lists of ``observation``."""
+register_control = CONTROLS.register
+"""Make a subclass of :class:`~bulletarm_gym.control.Control` available as ``control=name``."""
+
 
 def find_combination(task: Any, control: Any) -> tuple[Any, Any]:
     """Return the classes of a task and a control, by name or import path.
@@ -199,25 +217,6 @@ def find_combination(task: Any, control: Any) -> tuple[Any, Any]:
         must = f"a control of the kinds {', '.join(task_type.controls)} with {task_type.__name__}"
         raise ParameterError.of("control", control, must)
     return task_type, control_type
-
-
-register_robot = ROBOTS.register
-"""Make a robot available as ``robot=name``.
-
-The component is a function without arguments that returns a :class:`~bulletarm_gym.robots.RobotModel`, or the
-import path of such a function or of a model. Raises as :meth:`Registry.register`.
-"""
-register_object = OBJECTS.register
-"""Make a kind of object available as ``objects.create(name, ...)`` and in ``object_set``.
-
-The component is a function ``make(name, scale)`` that returns a :class:`~bulletarm_gym.objects.BodySpec`.
-"""
-register_surface = SURFACES.register
-"""Make a subclass of :class:`~bulletarm_gym.surfaces.Surface` available as ``surface=name``."""
-register_sensor = SENSORS.register
-"""Make a subclass of :class:`~bulletarm_gym.observations.Sensor` available in lists of ``observation``."""
-register_control = CONTROLS.register
-"""Make a subclass of :class:`~bulletarm_gym.control.Control` available as ``control=name``."""
 
 
 def by_path(parameters: Mapping[str, Any]) -> dict[str, Any]:

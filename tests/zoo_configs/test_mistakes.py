@@ -134,6 +134,8 @@ PLANS: list[tuple[Any, str]] = [
     ({**TINY, "seeds": [-1]}, "seeds"),
     ({**TINY, "options": {"eval_frq": 1}}, "'eval_freq'"),
     ({**TINY, "options": 3}, "options"),
+    ({**TINY, "options": {"n_timesteps": "5"}}, "--n-timesteps must be of the type int, got '5'"),
+    ({**TINY, "hyperparams": {"expert_data": "none.h5"}}, "none.h5"),
     ({**TINY, "variants": {"one_step": 1}}, "one_step"),
     ({**TINY, "hyperparams": {"gamma": 2}}, "gamma"),
     ({**TINY, "hyperparams": {"env_kwargs": {"obs_size": 8}}}, "obs_size"),
