@@ -91,6 +91,12 @@ class TaskDefaults:
     sensors: tuple[str, ...] = ()
     close_loop: Mapping[str, Any] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        allowed = checks.instances(int, "integers", can_be_empty=False)
+        sensors = checks.instances(str, "names of sensors")
+        fields = {"allowed_objects": allowed, "sensors": sensors, "close_loop": checks.mapping}
+        checks.check_fields(self, fields)
+
 
 @dataclass(frozen=True)
 class Context:
@@ -259,14 +265,16 @@ class EnvConfig:
         :raises UnknownParameterError: a parameter does not exist; the text names a similar one or all
         :raises ParameterError: a value is invalid, or the task cannot be placed on the surface
         """
-        given = {**(defaults or {}), **parameters}
+        close_loop = context.task.close_loop if context.control == CLOSE_LOOP else {}
+        given = {**close_loop, **(defaults or {}), **parameters}
         for name, value in given.items():
             if name not in PARAMETERS or not belongs(name, context.control):
                 raise UnknownParameterError(_unknown(name, value, context.control))
         chosen = {name: deepcopy(_resolve(entry["default"], context)) for name, entry in PARAMETERS.items()}
-        chosen |= deepcopy(dict(context.task.close_loop)) if context.control == CLOSE_LOOP else {}
-        for name, value in given.items():
-            chosen[name] = check_argument(name, value, _resolve(PARAMETERS[name]["check"], context))
+        for name, value in {**chosen, **given}.items():
+            is_checked = name in given or (value is not None and belongs(name, context.control))
+            check = _resolve(PARAMETERS[name]["check"], context)
+            chosen[name] = check_argument(name, value, check) if is_checked else value
         if chosen["home_height"] is None:
             chosen["home_height"] = default_home_height(context.control, chosen["workspace"])
         _check_surface(context, chosen["close_loop_tray"])

@@ -16,6 +16,10 @@ ROUNDING = 1e-9
 """Tolerance (m) of differences of decimal fractions."""
 MAX_SCALE = 2.0
 """Maximum scale of objects; a cube of twice the nominal size (10 cm) fits no gripper."""
+MAX_SHOWN = 500
+"""Maximum number of characters of a value in an error."""
+SIGNS = {"finite": -math.inf, "non-negative": 0.0, "positive": math.ulp(0.0)}
+"""Lowest number of each sign."""
 
 
 class ParameterError(ValueError):
@@ -27,7 +31,9 @@ class ParameterError(ValueError):
     @classmethod
     def of(cls, name: str, got: object, must: str, reason: str = "") -> "ParameterError":
         """Return the error of a parameter with a constraint on its value."""
-        return cls(f"{name} must be {must}, got {got!r}{': ' if reason else ''}{reason}")
+        text = repr(got)
+        shown = text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}..."
+        return cls(f"{name} must be {must}, got {shown}{': ' if reason else ''}{reason}")
 
 
 class Refused(ValueError):
@@ -42,8 +48,18 @@ def check_argument(name: str, value: Any, check: Check) -> Any:
         raise ParameterError.of(name, value, str(refused)) from None
 
 
+def check_fields(record: Any, checks: Mapping[str, Check], of: str = "") -> None:
+    """Replace fields of a frozen dataclass by what their checks return.
+
+    :param of: end of the names in errors, such as ``" of 'cube'"``
+    """
+    for name, check in checks.items():
+        object.__setattr__(record, name, check_argument(f"{name}{of}", getattr(record, name), check))
+
+
 def _plain(value: Any) -> Any:
-    return value.item() if isinstance(value, np.generic) else value
+    is_number = isinstance(value, np.generic) or (isinstance(value, np.ndarray) and value.ndim == 0)
+    return value.item() if is_number else value
 
 
 def _is_number(value: Any) -> bool:
@@ -51,7 +67,8 @@ def _is_number(value: Any) -> bool:
 
 
 def _float(value: Any) -> float:
-    return float(value) if _is_number(value) else math.nan
+    plain = _plain(value)
+    return float(plain) if type(plain) in (int, float) else math.nan
 
 
 def _pair(value: Any) -> Any:
@@ -59,7 +76,7 @@ def _pair(value: Any) -> Any:
     return [value, value] if _is_number(value) else value
 
 
-def _floats(*shape: int) -> Callable[[Any], Any]:
+def floats(*shape: int) -> Callable[[Any], Any]:
     """Return a conversion of array-likes of finite numbers to lists."""
 
     def convert(value: Any) -> Any:
@@ -83,7 +100,7 @@ def rule(must: str, accepts: Callable[[Any], bool], convert: Callable[[Any], Any
         try:
             converted = convert(value)
             is_valid = accepts(converted)
-        except (LookupError, TypeError, ValueError):
+        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError):
             is_valid = False
         if not is_valid:
             raise Refused(must)
@@ -115,12 +132,49 @@ def number(low: float, high: float, must: str) -> Check:
     return rule(must, lambda value: low <= value <= high and math.isfinite(value), _float)
 
 
+def numbers(sign: str = "finite", count: int | None = None) -> Check:
+    """Accept a finite number, or some numbers and return a tuple.
+
+    :param sign: one of :data:`SIGNS`
+    :param count: number of numbers, None for one that is not in a tuple
+    """
+    low = SIGNS[sign]
+    if count is None:
+        return number(low, math.inf, f"a {sign} number")
+
+    def accepts(values: tuple[float, ...]) -> bool:
+        return len(values) == count and all(low <= value and math.isfinite(value) for value in values)
+
+    text = f"{count} {sign} number{'' if count == 1 else 's'}"
+    return rule(text, accepts, lambda values: tuple(map(_float, values)))
+
+
+def instance(*kinds: type) -> Check:
+    """Accept instances of some classes."""
+    names = " or ".join(kind.__name__ for kind in kinds)
+    return rule(f"an instance of {names}", lambda value: isinstance(value, kinds), lambda value: value)
+
+
+def instances(kind: type, names: str, can_be_empty: bool = True) -> Check:
+    """Accept a tuple or list of instances of a class, and return a tuple.
+
+    :param names: name of several instances
+    """
+
+    def accepts(values: Any) -> bool:
+        is_sequence = isinstance(values, tuple | list) and len(values) >= 1 - can_be_empty
+        return is_sequence and all(isinstance(value, kind) for value in values)
+
+    check = rule(f"a {'' if can_be_empty else 'non-empty '}tuple of {names}", accepts)
+    return lambda value: tuple(check(value))
+
+
 def interval(low: float, high: float) -> Check:
     """Accept numbers and [low, high] between limits, both included; return [low, high]."""
     return rule(
         f"a number or [low, high], from {low:g} to {high:g}",
         lambda ends: low <= ends[0] <= ends[1] <= high,
-        lambda value: _floats(2)(_pair(value)),
+        lambda value: floats(2)(_pair(value)),
     )
 
 
@@ -139,9 +193,12 @@ def robot(names: Sequence[str]) -> Check:
 
 boolean = rule("True or False", lambda value: isinstance(value, bool))
 mapping = rule("a dict", lambda value: isinstance(value, Mapping))
+function = rule("a function", callable)
+truth = rule("True or False", lambda value: not isinstance(value, str) and bool(value) in (True, False))
+colour = rule("4 numbers from 0 to 1", lambda parts: 0 <= min(parts) <= max(parts) <= 1, numbers(count=4))
 positive = number(math.nextafter(0.0, 1.0), math.inf, "a positive number of metres")
 field_of_view = number(1.0, 170.0, "a number of degrees from 1 to 170")
-point = rule("[x, y, z] in metres", bool, _floats(3))
+point = rule("[x, y, z] in metres", bool, floats(3))
 
 
 def _is_workspace(limits: list[list[float]]) -> bool:
@@ -154,12 +211,12 @@ workspace = rule(
     "[[x low, x high], [y low, y high], [z low, z high]] in metres, square in x and y with sides "
     f"of at least {MIN_WORKSPACE:g}, z low not below 0",
     _is_workspace,
-    _floats(3, 2),
+    floats(3, 2),
 )
 scale_range = rule(
     f"a positive number or [low, high], at most {MAX_SCALE}",
     lambda limits: 0.0 < limits[0] <= limits[1] <= MAX_SCALE,
-    lambda value: _floats(2)(_pair(value)),
+    lambda value: floats(2)(_pair(value)),
 )
 render_size = rule(
     "a number of pixels or [width, height], each from 16 to 4096",
@@ -228,7 +285,7 @@ def _sensor(entry: Any, builtin: Sequence[str]) -> str | dict[str, Any]:
         return entry
     plain: dict[str, Any] = json.loads(json.dumps(dict(entry), default=_to_list))
     name = plain["name"]
-    if not name.isidentifier() or (name in builtin and plain.get("sensor", name) != name):
+    if not str.isidentifier(name) or (name in builtin and plain.get("sensor", name) != name):
         raise ValueError
     return plain
 

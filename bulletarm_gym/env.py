@@ -11,16 +11,16 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 from numpy.typing import ArrayLike, NDArray
 
-from bulletarm_gym import config_checks
-from bulletarm_gym.config import CLOSE_LOOP, PROGRESS, Context, EnvConfig, ParameterError
-from bulletarm_gym.control import Control, RobotInterface
+from bulletarm_gym.config import CLOSE_LOOP, PROGRESS, Context, EnvConfig
+from bulletarm_gym.config_checks import check_argument, instance, instances, mapping, optional
+from bulletarm_gym.control import Control, GraspParams, RobotInterface
 from bulletarm_gym.episode import AFTER_ACTION, ARRANGEMENT, PLAN, Episode
 from bulletarm_gym.experts.approach import Tracker, checked_plan
 from bulletarm_gym.geometry.compilation import warm_up
-from bulletarm_gym.observations import Observer, View
+from bulletarm_gym.observations import Observer, Overlay, View
 from bulletarm_gym.observations.cameras import RENDER, Viewer
 from bulletarm_gym.observations.view import measure
-from bulletarm_gym.registry import CONTROLS, REWARDS, ROBOTS, SURFACES, TASKS, by_path
+from bulletarm_gym.registry import REWARDS, ROBOTS, SURFACES, by_path, find_combination
 from bulletarm_gym.robots import RobotModel
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.scene.state import EnvState, check_fits, scene_facts
@@ -77,10 +77,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     ) -> None:
         parameters = by_path({**parameters, "control": control, "surface": surface})
         control, surface = parameters.pop("control"), parameters.pop("surface")
-        task_type, control_type = TASKS.find(task), CONTROLS.find(control)
-        if control_type.kind not in task_type.controls:
-            must = f"a control of the kinds {', '.join(task_type.controls)} with {task_type.__name__}"
-            raise ParameterError.of("control", control, must)
+        task_type, control_type = find_combination(task, control)
         self.objects = {  # parameters without an import path
             name: parameters.pop(name)
             for name in ("robot", "reward")
@@ -89,7 +86,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         model = ROBOTS.convert(self.objects["robot"]) if "robot" in self.objects else None
         parameters |= {} if model is None else {"robot": model.name}
         context = Context(control_type.kind, task_type.defaults, surface, control_type.sequences)
-        config_checks.check_argument("defaults", defaults, config_checks.optional(config_checks.mapping))
+        check_argument("defaults", defaults, optional(mapping))
         self.config = EnvConfig.of(context, parameters, defaults)
         default = EnvConfig.of(context, {}, defaults)
         self._changed = self.config.changed(default, "scene")
@@ -124,7 +121,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
 
     def _make_control(self, control_type: Any) -> None:
         """Make the control, the expert's tracker and the sensors."""
-        params = self.task.grasp_params
+        params = check_argument("grasp_params", self.task.grasp_params, instance(GraspParams))
         robot = RobotInterface(self.scene.robot, self.scene.settle)
         self.control: Control[Any] = control_type(self.config, robot, params)
         self._episode = Episode(self.task, self.scene, self.control)
@@ -261,7 +258,9 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     def look(self) -> View:
         """Return the current view of the scene from above."""
         self.scene.world.check_open()
-        return View(self.scene, self.control.frame(), self.task.overlays(self.scene), self._episode.measure)
+        marks = instances(Overlay, "overlays")
+        overlays = check_argument("overlays()", self.task.overlays(self.scene), marks)
+        return View(self.scene, self.control.frame(), overlays, self._episode.measure)
 
     def decode_action(self, action: ArrayLike) -> Any:
         """Return an action in metres and radians: a ``DeltaMove``, a ``PickPlace``, or the control's own."""

@@ -11,9 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WORKSPACES
+from bulletarm_gym.config_checks import check_argument, integer, numbers, rule
 from bulletarm_gym.control.close_loop import VIEW_SCALE, tool_frame
 from bulletarm_gym.control.open_loop import measure_grasp, pick_height, place_height, workspace_frame
 from bulletarm_gym.geometry import Pose
+from bulletarm_gym.geometry.poses import pose_check
 from bulletarm_gym.observations import MAX_HEIGHT, ElevationMap, Frame, Heights, Window
 from bulletarm_gym.observations.images import heightmap, projections, rotated_crop
 from bulletarm_gym.observations.rasterizer import project_points
@@ -34,6 +36,8 @@ SIZE = 128
 """Default side length (pixels) of heightmaps, ``obs_size``."""
 IN_HAND_SIZE = 24
 """Default side length (pixels) of in-hand images, ``in_hand_size``; 40 on bumps."""
+POINTS = rule("an array of numbers", lambda cloud: cloud.dtype.kind in "iuf", np.asarray)
+"""Check of points of any shape."""
 
 
 def close_loop_heightmap(
@@ -53,6 +57,8 @@ def close_loop_heightmap(
     :return: (1, size, size) m, within [0, 0.4]; rows grow with world x, columns with y
     :raises ValueError: no point is in the square, or ``points`` has another shape
     """
+    tool_pose = check_argument("tool_pose", tool_pose, pose_check)
+    opening = check_argument("opening", opening, numbers("non-negative"))
     (low, high), _, (_, top) = workspace
     return _heightmap(points, tool_frame(tool_pose, opening, VIEW_SCALE * (high - low)), top, size)
 
@@ -83,7 +89,7 @@ def in_hand_image(
     :param tilts: whether actions have three r's and the image three channels
     :return: (1, size, size) or (3, size, size) m, within [0, 0.4]
     """
-    show = projections if tilts else rotated_crop
+    pick, show = check_argument("pick", pick, pose_check), projections if tilts else rotated_crop
     above_floor = Pose((0.0, 0.0, -workspace[2][0])).compose(pick)
     return show(elevation_map(heightmap, workspace), above_floor, size).clip(0.0, MAX_HEIGHT)
 
@@ -98,9 +104,10 @@ def elevation_map(heightmap: Heights, workspace: Limits = WORKSPACES[OPEN_LOOP])
 
 
 def _heightmap(points: ArrayLike, frame: Frame, ceiling: float, size: int) -> Heights:
-    cloud = np.asarray(points, np.float64)
+    cloud = check_argument("points", points, POINTS).astype(np.float64)
     if cloud.ndim != 2 or cloud.shape[1] != 3:
         raise ValueError(f"points must be an array of shape (n, 3), got {cloud.shape}")
+    check_argument("size", size, integer(1))
     cloud = cloud[np.isfinite(cloud).all(axis=1)]
     if not (np.abs(cloud[:, :2] - frame.centre) < frame.extent / 2.0).all(axis=1).any():
         x, y = frame.centre

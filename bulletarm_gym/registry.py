@@ -13,7 +13,7 @@ from typing import Any
 import gymnasium
 from gymnasium.envs.registration import WrapperSpec
 
-from bulletarm_gym.config_checks import ParameterError
+from bulletarm_gym.config_checks import ParameterError, check_argument, instance, instances, rule
 
 VARIABLE = "BULLETARM_GYM_REGISTERED"
 """Environment variable in which a process publishes its registrations, as JSON, for child processes."""
@@ -55,7 +55,7 @@ def import_path(component: Any) -> str:
         return component
     module, name = (getattr(component, key, None) for key in ("__module__", "__qualname__"))
     if module is None or name is None:
-        raise ValueError(f"{component!r} is neither a class, a function nor a path 'module:attribute'")
+        raise ParameterError.of("component", component, "a class, a function or a path 'module:attribute'")
     if "<lambda>" in name or "<locals>" in name:
         reason = "a lambda" if "<lambda>" in name else "local to a function"
         raise ValueError(f"{name} cannot be imported: it is {reason}. Define it at the top level of a module")
@@ -173,6 +173,12 @@ _SENSOR = partial(_subclass, "bulletarm_gym.observations.sensor:Sensor")
 SENSORS = Registry("sensor", _SENSOR, "bulletarm_gym.observations.observer:SENSORS")
 _CONTROL = partial(_subclass, "bulletarm_gym.control.control:Control")
 CONTROLS = Registry("control", _CONTROL, "bulletarm_gym.control:CONTROLS")
+KINDS = rule(
+    "a tuple of 'close_loop' and 'open_loop'",
+    {"close_loop", "open_loop"}.issuperset,
+    instances(str, "kinds", can_be_empty=False),
+)
+"""Check of the kinds of controls of a task."""
 
 register_robot = ROBOTS.register
 """Make a robot available as ``robot=name``.
@@ -191,6 +197,26 @@ register_sensor = SENSORS.register
 """Make a subclass of :class:`~bulletarm_gym.observations.Sensor` available in lists of ``observation``."""
 register_control = CONTROLS.register
 """Make a subclass of :class:`~bulletarm_gym.control.Control` available as ``control=name``."""
+
+
+def find_combination(task: Any, control: Any) -> tuple[Any, Any]:
+    """Return the classes of a task and a control, by name or import path.
+
+    :raises ParameterError: they cannot be combined, or an attribute of a class is invalid
+    """
+    task_type, control_type = TASKS.find(task), CONTROLS.find(control)
+    defaults: type = load("bulletarm_gym.config:TaskDefaults")
+    for owner, name, check in (
+        (task_type, "defaults", instance(defaults)),
+        (task_type, "controls", KINDS),
+        (control_type, "kind", instance(str)),
+        (control_type, "sequences", instances(str, "texts")),
+    ):
+        check_argument(f"{name} of {owner.__name__}", getattr(owner, name, None), check)
+    if control_type.kind not in task_type.controls:
+        must = f"a control of the kinds {', '.join(task_type.controls)} with {task_type.__name__}"
+        raise ParameterError.of("control", control, must)
+    return task_type, control_type
 
 
 def by_path(parameters: Mapping[str, Any]) -> dict[str, Any]:
@@ -322,8 +348,8 @@ def register_task(name: str, task: Any, control: str = "close_loop", surface: st
     :param control: name of a built-in or registered control
     :param surface: name of a built-in or registered surface
     :return: the id, such as ``"BulletArm/CloseLoopBlockShaking-v0"``
-    :raises ValueError: the name is not an identifier or is in use, the control or surface is unknown, or the
-        class has no import path
+    :raises ValueError: the name is not an identifier or is in use, the control or surface is unknown, the
+        two cannot be combined with the task, or the class has no import path
     """
     if not (isinstance(name, str) and name.isidentifier()):
         raise ValueError(f"name must be an identifier such as 'BlockShaking', got {name!r}")
@@ -332,6 +358,10 @@ def register_task(name: str, task: Any, control: str = "close_loop", surface: st
             raise ParameterError.of(registry.kind, chosen, f"one of {', '.join(map(repr, registry.names))}")
     recipe = by_path({"control": control, "surface": surface})
     entry = Entry(_prefix(control, surface) + name, import_path(task), **recipe)
+    task_type, control_type = find_combination(entry.task, entry.control)
+    config = importlib.import_module("bulletarm_gym.config")  # which imports this module
+    components = (control_type.kind, task_type.defaults, entry.surface, control_type.sequences)
+    config.EnvConfig.of(config.Context(*components), {})
     known_spec = gymnasium.registry.get(entry.env_id)
     if known_spec is None:
         register(entry.env_id, entry.kwargs)

@@ -4,7 +4,7 @@
 ``reset(options={"state": state})`` begins all members at the same state.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
 from copy import deepcopy
 from functools import partial
@@ -18,7 +18,7 @@ from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import SyncVectorEnv, VectorEnv
 from numpy.typing import ArrayLike, NDArray
 
-from bulletarm_gym.config_checks import check_argument, integer
+from bulletarm_gym.config_checks import check_argument, instance, integer, rule
 from bulletarm_gym.scene.state import EnvState
 
 TASK_ID = "task_id"
@@ -27,7 +27,7 @@ Observation = dict[str, NDArray[Any]]
 
 
 def make_multi_task_vec(
-    ids: Sequence[str | EnvSpec],
+    ids: Iterable[str | EnvSpec],
     envs_per_task: int = 1,
     vec_env_cls: Callable[[list[Callable[[], gymnasium.Env[Any, Any]]]], Any] = SyncVectorEnv,
     **kwargs: Any,
@@ -45,8 +45,8 @@ def make_multi_task_vec(
         shapes, or an environment already observes ``task_id``
     """
     check_argument("envs_per_task", envs_per_task, integer(1))
-    if isinstance(ids, str) or not ids:
-        raise ValueError(f"ids must be a list of at least one id, got {ids!r}")
+    names = rule("a list of at least one id", bool, lambda ids: [] if isinstance(ids, str) else list(ids))
+    ids = check_argument("ids", ids, names)
     observations, sequences, controls = zip(*(_describe(env_id, kwargs) for env_id in ids), strict=True)
     if len(set(controls)) > 1:
         raise ValueError(f"ids must all have one kind of control, got {', '.join(controls)}")
@@ -167,7 +167,7 @@ def _padded(values: NDArray[Any] | None, box: spaces.Box) -> NDArray[Any]:
     return padded
 
 
-def reset_to_states(envs: VectorEnv[Any, Any, Any], states: Sequence[EnvState]) -> tuple[Any, dict[str, Any]]:
+def reset_to_states(envs: VectorEnv[Any, Any, Any], states: Iterable[EnvState]) -> tuple[Any, dict[str, Any]]:
     """Begin the episodes of a vector environment, each member at its own state.
 
     :param envs: vector environment of Gymnasium
@@ -179,6 +179,7 @@ def reset_to_states(envs: VectorEnv[Any, Any, Any], states: Sequence[EnvState]) 
     if not getattr(envs.unwrapped, "shared_memory", True):
         # Its workers reset ended members again at the next step: findings/gymnasium_async_resets_twice.sh
         raise ValueError("envs must have shared_memory=True, got shared_memory=False")
+    states = list(check_argument("states", states, instance(Iterable)))
     if len(states) != envs.num_envs:
         raise ValueError(f"states must be {envs.num_envs} states, one per member, got {len(states)}")
     observations, infos = envs.reset(options={"state": states[0]})

@@ -14,13 +14,15 @@ from gymnasium.wrappers.utils import rescale_box
 from numpy.typing import NDArray
 from PIL import Image
 
-from bulletarm_gym.config_checks import check_argument, integer, mapping, optional
+from bulletarm_gym.config_checks import ParameterError, check_argument, integer, mapping, optional, rule
 from bulletarm_gym.registry import time_limit_spec
 
 WHITE = 255
 """Maximum value of a channel."""
 IMAGE_AXES = 3
 """Number of axes of an observed image: channels, rows, columns."""
+OWN = rule("an environment of this package", lambda env: hasattr(env.unwrapped, "scene"))
+"""Check of wrapped environments."""
 UNLIMITED = 2**31 - 1
 """Limit (steps) of an environment made with ``max_episode_steps=-1``."""
 
@@ -121,11 +123,12 @@ class InstructionInfo(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorAr
     A sentence is sampled at every reset; the seed of a reset determines it and the later ones.
 
     :param env: an environment of this package, perhaps wrapped
+    :raises ValueError: ``env`` is of another package
     """
 
     def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
         RecordConstructorArgs.__init__(self)
-        super().__init__(env)
+        super().__init__(check_argument("env", env, OWN))
         self._rng = np.random.default_rng()
 
     def reset(
@@ -149,13 +152,13 @@ class GoalObservation(gymnasium.ObservationWrapper[Any, Any, Any], RecordConstru
 
     :param env: environment that observes vectors, such as ``joint_state``, and whose task defines
         :meth:`~bulletarm_gym.tasks.Task.goals`: Block Reaching, Block Pushing, Block Pulling, Block Stacking
-    :raises ValueError: ``env`` observes images, or the task has no goals
+    :raises ValueError: ``env`` observes images or is of another package, or the task has no goals
     """
 
     def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
         RecordConstructorArgs.__init__(self)
         super().__init__(env)
-        core: Any = env.unwrapped
+        core: Any = check_argument("env", env, OWN).unwrapped
         self._core = core
         self._inner = env.observation_space
         parts = self._inner.values() if isinstance(self._inner, spaces.Dict) else [self._inner]
@@ -210,6 +213,7 @@ def own_time_limit(env: gymnasium.Env[Any, Any], known: int | None) -> gymnasium
 
     :param known: limit in the spec of another environment, which is kept unless a limit is passed to
         ``make()``
+    :raises ParameterError: ``max_steps`` and another ``max_episode_steps`` are passed
     """
     core: Any = env.unwrapped
     spec, limit = core.spec, known
@@ -218,6 +222,9 @@ def own_time_limit(env: gymnasium.Env[Any, Any], known: int | None) -> gymnasium
     elif sys._getframe(1).f_locals.get("max_episode_steps") == -1:  # make() leaves no other trace of it
         limit = UNLIMITED
     if limit is not None and limit != known:
+        if "max_steps" in spec.kwargs and core.config.max_steps not in (known, limit):
+            must = "omitted if max_episode_steps is passed"
+            raise ParameterError.of("max_steps", core.config.max_steps, must)
         core.limit_steps(limit)
         spec = replace(spec, kwargs={**spec.kwargs, "max_steps": limit})
     if env is not core:

@@ -128,7 +128,8 @@ def _newest_run(query: AgentQuery) -> Run:
     ]
     if not runs:
         wanted = " ".join(filter(None, [query.baseline or query.algo, query.preset]))
-        raise CommandError(f"no run of {wanted} on {env_id} in {query.log_folder}")
+        must = f"a folder with runs of {wanted} on {env_id}"
+        raise CommandError(f"--log-folder must be {must}, got {query.log_folder}")
     return next((run for run in reversed(runs) if run.has_model), runs[-1])
 
 

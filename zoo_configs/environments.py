@@ -17,7 +17,7 @@ NAMESPACE = "BulletArm/"
 def register_environments(packages: Iterable[str] = ()) -> None:
     """Import our package and others that register environments; raise ``CommandError`` on failure."""
     for package in ("bulletarm_gym", *packages):
-        with refused(f"package {package!r} cannot be imported"):
+        with refused(f"package {package!r} cannot be imported", (Exception, SystemExit)):
             importlib.import_module(package)
 
 

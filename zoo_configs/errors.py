@@ -18,7 +18,9 @@ class CommandError(Exception):
 
 
 @contextmanager
-def refused(what: str, kinds: type[Exception] | tuple[type[Exception], ...] = Exception) -> Iterator[None]:
+def refused(
+    what: str, kinds: type[BaseException] | tuple[type[BaseException], ...] = Exception
+) -> Iterator[None]:
     """Convert errors that the user's arguments cause into ``CommandError`` that starts with ``what``."""
     try:
         yield

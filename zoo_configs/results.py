@@ -91,7 +91,8 @@ def read_experiments(
         if is_wanted and run.evaluations_file.is_file():
             groups[json.dumps(settings_of(run), default=str)].append(run)
     if not groups:
-        raise CommandError(f"no evaluated run of these environments and baselines in {log_folder}")
+        must = "a folder with evaluated runs of these environments and baselines"
+        raise CommandError(f"--log-folder must be {must}, got {log_folder}")
     settings = [settings_of(runs[0]) for runs in groups.values()]
     pairs = zip(settings, groups.values(), strict=True)
     found = [ExperimentResults(own["env"], _label(own, settings), _by_seed(runs)) for own, runs in pairs]

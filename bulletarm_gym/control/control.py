@@ -13,6 +13,7 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from bulletarm_gym.config import EnvConfig, ParameterError, default_home_height
+from bulletarm_gym.config_checks import check_argument, check_fields, floats, numbers, optional, rule
 from bulletarm_gym.geometry import Pose, Vector
 from bulletarm_gym.observations import Frame, View
 from bulletarm_gym.robots import Robot
@@ -89,6 +90,12 @@ class GraspParams:
     pick_area: tuple[float, float] | None = None
     opening: float = math.inf
 
+    def __post_init__(self) -> None:
+        offsets = dict.fromkeys(("pick_offset", "place_offset"), numbers())
+        opening = rule("a non-negative number", lambda width: 0.0 <= width <= math.inf)
+        area = optional(numbers("positive", 2))
+        check_fields(self, {**offsets, "pick_area": area, "opening": opening})
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -133,6 +140,8 @@ class Control(ABC, Generic[Move]):
         self.memory: Any = None
         """Memory within an episode, part of the environment's state: plain values; None at the start."""
         self.action_space = spaces.Box(-1.0, 1.0, (len(self.sequence),), np.float32)
+        must = f"{len(self.sequence)} finite numbers, one each for {self.sequence!r}"
+        self._check = rule(must, bool, floats(len(self.sequence)))
         self._home = Pose.planar(*config.centre, config.home_height)
         _check_reach(config, robot, self._home, list(poses))
 
@@ -141,17 +150,7 @@ class Control(ABC, Generic[Move]):
 
         :raises ValueError: the action has the wrong shape or is not finite
         """
-        try:
-            array = np.asarray(action, dtype=np.float64)
-        except (TypeError, ValueError):
-            array = np.empty(0)
-        if array.shape != self.action_space.shape or not np.isfinite(array).all():
-            raise ValueError(
-                f"action must be {len(self.sequence)} finite numbers, one each for {self.sequence!r}, "
-                f"got {action!r}"
-            )
-        numbers: list[float] = array.clip(-1.0, 1.0).tolist()
-        return numbers
+        return [min(max(value, -1.0), 1.0) for value in check_argument("action", action, self._check)]
 
     @abstractmethod
     def decode_action(self, action: ArrayLike, view: View) -> Move:

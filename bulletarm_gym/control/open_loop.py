@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import label
 
 from bulletarm_gym.config import OPEN_LOOP, EnvConfig
+from bulletarm_gym.config_checks import check_argument, choice, numbers, rule
 from bulletarm_gym.control.control import Control, GraspParams, Outcome, RobotInterface, grid_positions
 from bulletarm_gym.geometry import Pose, Rectangle, Vector, euler_pose, matrix
 from bulletarm_gym.observations import ElevationMap, Frame, View
@@ -165,6 +166,15 @@ class PickPlace:
         return euler_pose(self.position, (psi, phi, theta))
 
 
+def _finite_move(move: PickPlace) -> PickPlace:
+    three = numbers(count=3)
+    return PickPlace(choice(PICK, PLACE)(move.primitive), three(move.position), three(move.rotation))
+
+
+MOVE = rule(f"a PickPlace of {PICK!r} or {PLACE!r} and finite numbers", bool, _finite_move)
+"""Check of moves to encode."""
+
+
 class OpenLoop(Control[PickPlace]):
     """Pick and place.
 
@@ -206,10 +216,9 @@ class OpenLoop(Control[PickPlace]):
     def encode_action(self, move: PickPlace) -> NDArray[np.float32]:
         """Return the action of a move, clipped to [-1, 1]; the inverse of :meth:`decode_action`.
 
-        :raises ValueError: the primitive is unknown
+        :raises ValueError: the primitive is unknown, or a number is not finite
         """
-        if move.primitive not in (PICK, PLACE):
-            raise ValueError(f"primitive must be {PICK!r} or {PLACE!r}, got {move.primitive!r}")
+        move = check_argument("move", move, MOVE)
         theta, phi, psi = move.rotation
         low, high = self.ranges.get("theta", (-math.pi, math.pi))
         if not low <= theta <= high:

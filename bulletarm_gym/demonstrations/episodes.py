@@ -27,6 +27,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from bulletarm_gym.config_checks import check_argument, instance
 from bulletarm_gym.demonstrations import json_state
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.registry import register
@@ -108,7 +109,7 @@ class Demonstrations(Sequence[Episode]):
     def __init__(
         self, image: bytes, name: str = "demonstrations", object_set: str | os.PathLike[str] | None = None
     ) -> None:
-        self.image = image
+        self.image = check_argument("image", image, instance(bytes))
         self._changed = {} if object_set is None else {"object_set": os.path.abspath(object_set)}
         if not image.startswith(MAGIC):
             raise ValueError(f"{name}: not a file of demonstrations")
@@ -149,16 +150,26 @@ class Demonstrations(Sequence[Episode]):
     def __len__(self) -> int:
         return self._count
 
+    def __repr__(self) -> str:
+        return f"<Demonstrations: {len(self)} episodes of {self.env_id}>"
+
     @overload
     def __getitem__(self, index: int) -> Episode: ...
     @overload
-    def __getitem__(self, index: slice) -> "Demonstrations": ...
+    def __getitem__(self, index: slice | Sequence[int] | NDArray[Any]) -> "Demonstrations": ...
 
-    def __getitem__(self, index: int | slice) -> "Episode | Demonstrations":
-        """Return an episode, or the demonstrations of a slice, whose ``attempts`` are its episodes."""
-        chosen = range(self._count)[index]
+    def __getitem__(self, index: int | slice | Sequence[int] | NDArray[Any]) -> "Episode | Demonstrations":
+        """Return an episode, or the demonstrations of a slice, of a list of numbers or of a mask.
+
+        The ``attempts`` of a part are its episodes.
+
+        :raises IndexError: the index is not one of NumPy for a one-dimensional array
+        """
+        chosen = np.arange(self._count)[index]
+        if np.ndim(chosen) > 1:
+            raise IndexError(f"index must be an integer, a slice or a list of integers, got {index!r}")
         with self._file() as file:
-            if isinstance(chosen, int):
+            if np.ndim(chosen) == 0:
                 return _read(file["episodes"][str(chosen)])
             recorder = Recorder(self.about)
             for number in chosen:

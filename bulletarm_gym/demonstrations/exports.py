@@ -6,10 +6,12 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from bulletarm_gym.config_checks import check_argument, mapping, rule
 from bulletarm_gym.demonstrations.episodes import Demonstrations, Episode, atomic_path, replay
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.observations import Rgb, Sensor, State
@@ -29,6 +31,16 @@ ANGLES = ("theta", "phi", "psi")
 """Names of three r's in an action sequence."""
 
 
+def exported_env(demonstrations: Demonstrations) -> closing[gymnasium.Env[Any, Any]]:
+    """Return a context with the environment of demonstrations to export.
+
+    :raises ValueError: there is no episode, or it is something else than demonstrations
+    """
+    must, kind = "Demonstrations with at least one episode", Demonstrations
+    check = rule(must, lambda value: isinstance(value, kind) and len(value) > 0)
+    return closing(check_argument("demonstrations", demonstrations, check).make_env())
+
+
 def export_minari(demonstrations: Demonstrations, dataset_id: str, **metadata: Any) -> "MinariDataset":
     """Store demonstrations as a dataset of Minari; its metadata has the instruction as ``task``.
 
@@ -42,11 +54,11 @@ def export_minari(demonstrations: Demonstrations, dataset_id: str, **metadata: A
     except ImportError as error:
         raise ImportError("Minari is missing: pip install 'bulletarm-gym[minari]'") from error
     names = ("observations", "actions", "rewards", "terminations", "truncations", "seed")
-    buffers = [
-        EpisodeBuffer(id=number, **{name: getattr(episode, name) for name in names})
-        for number, episode in enumerate(demonstrations)
-    ]
-    with closing(demonstrations.make_env()) as env:
+    with exported_env(demonstrations) as env:
+        buffers = [
+            EpisodeBuffer(id=number, **{name: getattr(episode, name) for name in names})
+            for number, episode in enumerate(demonstrations)
+        ]
         dataset = minari.create_dataset_from_buffers(
             dataset_id, buffers, env=env, **{"algorithm_name": demonstrations.about["planner"], **metadata}
         )
@@ -104,7 +116,7 @@ def export_lerobot(
     target = Path(HF_LEROBOT_HOME) / repo_id if root is None else Path(root)
     if target.exists():
         raise FileExistsError(f"root must be a new folder, got {target}, which exists")
-    with closing(demonstrations.make_env()) as env, atomic_path(target) as temporary, _without_bars():
+    with exported_env(demonstrations) as env, atomic_path(target) as temporary, _without_bars():
         core: ManipulationEnv = env.unwrapped  # type: ignore[assignment]
 
         def exported(number: int) -> Iterator[dict[str, NDArray[Any]]]:
@@ -163,6 +175,7 @@ def observations(
     """
     episode, state = demonstrations[number], State(env.scene)
     sensors: dict[str, Sensor] = {}
+    check_argument("cameras", cameras, mapping)
     for name, parameters in cameras.items():
         try:
             sensors[name] = Rgb(env.scene, **parameters)

@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Iterator, Mapping
-from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from bulletarm_gym.demonstrations.episodes import Demonstrations, Episode, atomic_path
-from bulletarm_gym.demonstrations.exports import CAMERAS, observations, short_name
+from bulletarm_gym.demonstrations.exports import CAMERAS, exported_env, observations, short_name
 from bulletarm_gym.env import ManipulationEnv
 
 if TYPE_CHECKING:
@@ -55,7 +54,7 @@ def export_rlds(
     folder = Path(folder)
     if folder.exists():
         raise FileExistsError(f"folder must be a new folder, got {folder}, which exists")
-    with closing(demonstrations.make_env()) as env, atomic_path(folder) as temporary:
+    with exported_env(demonstrations) as env, atomic_path(folder) as temporary:
         core: ManipulationEnv = env.unwrapped  # type: ignore[assignment]
         arguments = (demonstrations, core, cameras, object_poses)
         first = next(steps(demonstrations[0], observations(0, *arguments), core.instruction))

@@ -3,7 +3,6 @@
 import json
 import os
 from collections.abc import Mapping, Sequence
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ from tqdm import tqdm
 
 from bulletarm_gym.config_checks import check_argument, number
 from bulletarm_gym.demonstrations.episodes import PACKED, Demonstrations, Episode, atomic_path
-from bulletarm_gym.demonstrations.exports import CAMERAS, observations, short_name
+from bulletarm_gym.demonstrations.exports import CAMERAS, exported_env, observations, short_name
 from bulletarm_gym.env import ManipulationEnv
 
 
@@ -51,9 +50,9 @@ def export_robomimic(
     path = Path(path)
     if path.exists():
         raise FileExistsError(f"path must be a new file, got {path}, which exists")
-    names = [f"demo_{index}" for index in range(len(demonstrations))]
-    with closing(demonstrations.make_env()) as env, atomic_path(path) as temporary:
+    with exported_env(demonstrations) as env, atomic_path(path) as temporary:
         core: ManipulationEnv = env.unwrapped  # type: ignore[assignment]
+        names = [f"demo_{index}" for index in range(len(demonstrations))]
         with h5py.File(temporary, "w") as file:
             data = file.create_group("data")
             for index, name in enumerate(tqdm(names, "robomimic", unit="episode", disable=None)):

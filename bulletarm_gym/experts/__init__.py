@@ -2,11 +2,15 @@
 
 from dataclasses import dataclass
 
+from bulletarm_gym.config_checks import check_fields, numbers, optional
 from bulletarm_gym.geometry import Pose
+from bulletarm_gym.geometry.poses import pose_check
 
 OPEN = 1.0
 HALF_OPEN = 0.5
 CLOSED = 0.0
+FIELDS = {"pose": pose_check, "gripper": numbers(), "finish": optional(numbers())}
+"""Checks of the fields of a waypoint."""
 
 
 @dataclass(frozen=True)
@@ -29,3 +33,6 @@ class Waypoint:
     finish: float | None = None
     straight: bool = False
     clear: bool = False
+
+    def __post_init__(self) -> None:
+        check_fields(self, FIELDS)

@@ -6,10 +6,12 @@ process single poses in plain arithmetic, which is faster than NumPy on three nu
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+
+from bulletarm_gym.config_checks import numbers, rule
 
 FloatArray: TypeAlias = NDArray[np.float64]
 IntArray: TypeAlias = NDArray[np.int32]
@@ -17,6 +19,8 @@ Vector: TypeAlias = tuple[float, float, float]
 Quaternion: TypeAlias = tuple[float, float, float, float]
 
 IDENTITY: Quaternion = (0.0, 0.0, 0.0, 1.0)
+UNIT_TOLERANCE = 1e-3
+"""Maximum error of the length of a unit quaternion."""
 
 
 class Pose(NamedTuple):
@@ -71,6 +75,20 @@ class Pose(NamedTuple):
         back = conjugate(self.orientation)
         x, y, z = rotate(back, self.position)
         return Pose((-x, -y, -z), back)
+
+
+def _plain_pose(value: Any) -> Pose:
+    if not isinstance(value, Pose):
+        raise TypeError
+    return Pose(numbers(count=3)(value.position), numbers(count=4)(value.orientation))
+
+
+pose_check = rule(
+    "a Pose of a position (x, y, z) and a unit quaternion (x, y, z, w)",
+    lambda pose: abs(math.hypot(*pose.orientation) - 1.0) < UNIT_TOLERANCE,
+    _plain_pose,
+)
+"""Check of poses that users pass."""
 
 
 class Rectangle(NamedTuple):

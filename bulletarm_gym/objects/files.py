@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull, QhullError
 
+from bulletarm_gym.config_checks import check_argument, numbers
 from bulletarm_gym.geometry import FloatArray, Mesh, Pose, Vector
 from bulletarm_gym.objects.graspables import graspable
 from bulletarm_gym.objects.solids import corner_radius, cylinder
@@ -215,7 +216,8 @@ def _collision_pieces(collision: Element, folder: Path, notes: Notes) -> list[Pi
     if shape is not None and tag == "box":
         return [Piece(Box(vector_of(shape, "size", "")), pose)]
     if shape is not None and tag == "cylinder":
-        radius, length = number_of(shape, "radius", ""), number_of(shape, "length", "")
+        sides = {name: number_of(shape, name, "") for name in ("radius", "length")}
+        radius, length = (check_argument(name, side, numbers("positive")) for name, side in sides.items())
         return [cylinder(corner_radius(2.0 * radius, CYLINDER_SIDES), length, CYLINDER_SIDES, pose)]
     if shape is None or tag != "mesh":
         raise ValueError(f"its collision geometry must be a mesh, a box or a cylinder, got {tag}")

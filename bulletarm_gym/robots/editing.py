@@ -7,7 +7,9 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
+from bulletarm_gym.config_checks import check_argument
 from bulletarm_gym.geometry import Pose, Vector, conjugate, euler_pose, rotate
+from bulletarm_gym.geometry.poses import pose_check
 from bulletarm_gym.simulation import urdf
 
 
@@ -25,8 +27,9 @@ def without(root: Element, *links: str) -> Element:
     :param root: the model, which is changed
     :param links: names of the links
     :return: the model
-    :raises ValueError: the model has no such link
+    :raises ValueError: the model has no such link, or is not the element ``<robot>``
     """
+    check_element("root", root)
     for name in links:
         link = urdf.find(root, "link", name)
         _remove_attached(root, name)
@@ -58,9 +61,11 @@ def attach(root: Element, link: str, other: Element, mount: Pose) -> Element:
     :param other: the model to attach
     :param mount: pose of the other model's root link in the link
     :return: the model
-    :raises ValueError: there is no such link, or ``other`` is not the element ``<robot>``
+    :raises ValueError: there is no such link, or a model is not the element ``<robot>``
     """
-    check_element("other", other)
+    for name, model in (("root", root), ("other", other)):
+        check_element(name, model)
+    mount = check_argument("mount", mount, pose_check)
     urdf.find(root, "link", link)
     base = urdf.find_root(other).get("name", "")
     materials = {material.get("name") for material in root.findall("material")}
@@ -87,6 +92,7 @@ def on_slides(
     :raises ValueError: a joint or the carrier is missing or not attached, or ``opened`` does not open the
         fingers
     """
+    check_element("root", root)
     urdf.find(root, "link", carrier)
     children = tuple(urdf.end_of(urdf.find(root, "joint", name), "child") for name in fingers)
     met = [_pose_in(root, carrier, child, closed) for child in children]

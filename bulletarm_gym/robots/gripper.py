@@ -7,34 +7,20 @@ down. Its x axis is the opening direction.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
 from xml.etree.ElementTree import Element
 
-import numpy as np
-
+from bulletarm_gym.config_checks import check_argument, check_fields, function, instances, numbers, rule
 from bulletarm_gym.geometry import Pose, Vector, euler_pose
+from bulletarm_gym.geometry.poses import pose_check
 from bulletarm_gym.robots.editing import DARK, LIGHT, RGB, Primitive, add_link, box, joints_below
 from bulletarm_gym.simulation.urdf import add_joint, find
 
 FINGER_MASS = 0.05
 """Mass (kg) of a finger of a :class:`ParallelJaw`."""
-
-
-def set_numbers(model: Any, name: str, shape: tuple[int, ...], sign: str = "positive") -> None:
-    """Convert a field of a frozen dataclass to a float, or to a tuple of floats.
-
-    :param shape: required shape, () for one number
-    :param sign: ``"positive"``, ``"non-negative"`` or ``"finite"``
-    :raises ValueError: the field has another shape, or a number is not finite or has another sign
-    """
-    value, low = getattr(model, name), {"positive": math.ulp(0.0), "non-negative": 0.0}.get(sign, -math.inf)
-    try:
-        numbers = np.array(value, np.float64)
-    except (TypeError, ValueError):
-        numbers = np.array(math.nan)
-    if numbers.shape != shape or not (np.isfinite(numbers) & (numbers >= low)).all():
-        raise ValueError(f"{name} must be {sign} numbers of shape {shape}, got {value!r}")
-    object.__setattr__(model, name, tuple(numbers.tolist()) if shape else numbers.item())
+LENGTHS = {"finger": 3, "palm": 3, "shoulder": 2}
+"""Parameters with several lengths, and their number."""
+JOINTS = instances(str, "names of joints", can_be_empty=False)
+"""Check of names of joints."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,12 +50,10 @@ class Gripper:
     shoulder: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        for name in ("stroke", "force", "speed", "friction"):
-            set_numbers(self, name, ())
-        for name, count in (("finger", 3), ("palm", 3), ("shoulder", 2)):
-            set_numbers(self, name, (count,), "non-negative")
-        if len(self.joints) != 2:
-            raise ValueError(f"joints must be the names of two joints, got {self.joints!r}")
+        lengths = {name: numbers("non-negative", count) for name, count in LENGTHS.items()}
+        names = rule("a tuple of the names of two joints", lambda pair: len(pair) == 2, JOINTS)
+        one = dict.fromkeys(("stroke", "force", "speed", "friction"), numbers("positive"))
+        check_fields(self, {**one, **lengths, "joints": names})
 
     @property
     def overhang(self) -> float:
@@ -102,9 +86,13 @@ class ParallelJaw(Gripper):
     housing: tuple[Primitive, ...] = ()
     trim: tuple[Primitive, ...] = ()
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_fields(self, dict.fromkeys(("housing", "trim"), instances(Primitive, "primitives")))
+
     def tool(self, flange: Pose) -> Pose:
         """Return the tool frame in the link that contains the flange."""
-        length = self.palm[2] + self.finger[2]
+        flange, length = check_argument("flange", flange, pose_check), self.palm[2] + self.finger[2]
         return flange.compose(euler_pose((0.0, 0.0, length), (math.pi, 0.0, 0.0)))
 
     def fitted(self, arm: Callable[[], Element], link: str, flange: Pose) -> Element:
@@ -114,6 +102,8 @@ class ParallelJaw(Gripper):
         :param flange: pose of the flange in the link
         :raises ValueError: the model has no such link, or the link carries a gripper
         """
+        flange = check_argument("flange", flange, pose_check)
+        check_argument("arm", arm, function)
         root = arm()
         carrier = find(root, "link", link)
         for joint in joints_below(root, link):

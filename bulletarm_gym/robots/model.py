@@ -9,10 +9,12 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from bulletarm_gym.config_checks import Check, check_fields, function, instance, numbers
 from bulletarm_gym.geometry import FloatArray, Pose, matrix
 from bulletarm_gym.geometry.compilation import compiled
+from bulletarm_gym.geometry.poses import pose_check
 from bulletarm_gym.robots.editing import DARK, check_element, cylinder
-from bulletarm_gym.robots.gripper import Gripper, set_numbers
+from bulletarm_gym.robots.gripper import JOINTS, Gripper
 from bulletarm_gym.robots.kinematics import Chain, Frames, advance, apply, dot, product
 from bulletarm_gym.robots.structure import prepare
 from bulletarm_gym.simulation import Body
@@ -24,6 +26,15 @@ PLINTH_RADIUS = 0.09
 """Radius (m) of the stand under an arm whose base is above the ground, outside the workspaces."""
 VERTICAL = 0.9
 """Minimum cosine between the vertical and the axis of a joint that rotates the gripper about the vertical."""
+FIELDS: dict[str, Check] = {
+    "name": instance(str),
+    "load": function,
+    "joints": JOINTS,
+    "tool": pose_check,
+    "gripper": instance(Gripper),
+    "base": pose_check,
+}
+"""Checks of the fields of a robot model that do not depend on the number of joints."""
 
 
 @dataclass(frozen=True)
@@ -54,9 +65,10 @@ class RobotModel:
     force: float | tuple[float, ...]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "joints", tuple(self.joints))
-        set_numbers(self, "posture", (len(self.joints),), "finite")
-        set_numbers(self, "force", (len(self.joints),) if np.ndim(self.force) else ())
+        check_fields(self, FIELDS)
+        several = len(self.joints) if np.iterable(self.force) else None
+        posture, force = numbers("finite", len(self.joints)), numbers("positive", several)
+        check_fields(self, {"posture": posture, "force": force})
 
     @cached_property
     def urdf(self) -> Element:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bulletarm_gym.config_checks import check_argument, numbers, rule
 from bulletarm_gym.geometry import Pose, Vector, interpolate
 from bulletarm_gym.robots.arm import CLEAR_ABOVE, FREE_CLEARANCE, MAX_SHIFTS, CollidingArm, path_length
 from bulletarm_gym.robots.kinematics import POSITION_TOLERANCE
@@ -148,12 +149,15 @@ class Robot(CollidingArm):
         :param in_contact: move slowly, because the robot may push an object
         :raises ValueError: the number of positions is wrong, or one is outside its limits
         """
-        goal, limits = np.array(positions, dtype=np.float64), self.model.chain.limits
-        if goal.shape != limits.shape[:1] or not ((limits[:, 0] <= goal) & (goal <= limits[:, 1])).all():
-            must = f"{len(limits)} joint positions (rad) within {limits.tolist()}"
-            raise ValueError(f"positions must be {must}, got {positions}")
-        length = path_length(self.pose, self.model.chain.forward(goal))
-        self._follow([tuple(goal.tolist())], length, in_contact)
+        limits = self.model.chain.limits
+        check = rule(
+            f"{len(limits)} joint positions (rad) within {limits.tolist()}",
+            lambda goal: bool(((limits[:, 0] <= goal) & (goal <= limits[:, 1])).all()),
+            numbers(count=len(limits)),
+        )
+        goal = check_argument("positions", positions, check)
+        length = path_length(self.pose, self.model.chain.forward(np.array(goal)))
+        self._follow([goal], length, in_contact)
 
     def _follow(self, stops: Sequence[Sequence[float]], length: float, in_contact: bool) -> Vector | None:
         steps, rise = self.duration(stops, length, in_contact and self.held is None)

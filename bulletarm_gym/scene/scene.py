@@ -10,8 +10,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from bulletarm_gym.config import MAX_ROTATION, MAX_TRANSLATION, EnvConfig
-from bulletarm_gym.config_checks import ROUNDING
+from bulletarm_gym.config_checks import ROUNDING, check_argument, check_fields, instances, numbers, rule
 from bulletarm_gym.geometry import FloatArray, Pose, Vector, matrix
+from bulletarm_gym.geometry.poses import pose_check
 from bulletarm_gym.robots import Robot, RobotModel
 from bulletarm_gym.scene.stability import CREEP_SPEED, is_stable, settle
 from bulletarm_gym.simulation import Body, BodySpec, World
@@ -25,6 +26,12 @@ SETTLE_LIMIT = 240
 """Maximum number of simulation steps (1 s) for loose bodies to come to rest."""
 MAX_BODIES = 120
 """Maximum number of loaded variants if sizes are sampled; every step costs time for each pair of bodies."""
+TWIST = rule(
+    "a pair of a linear (m/s) and an angular velocity (rad/s), (x, y, z) each",
+    lambda pair: len(pair) == 2,
+    lambda pair: tuple(map(numbers(count=3), pair)),
+)
+"""Check of velocities."""
 GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 """Golden ratio, whose multiples are spread evenly over the unit interval modulo 1."""
 
@@ -46,6 +53,11 @@ class ObjectSlot:
     kind: str = ""
     scales: tuple[float, ...] = ()
     like: str = ""
+
+    def __post_init__(self) -> None:
+        check_fields(
+            self, {"variants": instances(BodySpec, "bodies", can_be_empty=False)}, f" of {self.name!r}"
+        )
 
 
 def scaled(
@@ -171,6 +183,7 @@ class SceneObject:
 
     def place(self, pose: Pose, twist: Twist = STILL) -> None:
         """Set the body's pose, at rest or with a linear (m/s) and an angular (rad/s) velocity."""
+        pose, twist = check_argument("pose", pose, pose_check), check_argument("twist", twist, TWIST)
         self._world.place(self.body, pose, twist)
 
     @property
@@ -194,7 +207,8 @@ class SceneObject:
 
     def set_joints(self, positions: Sequence[float]) -> None:
         """Set the positions (m or rad) of the body's joints, at rest."""
-        self._world.set_joints(self.body, positions)
+        check = numbers(count=len(self.body.joints))
+        self._world.set_joints(self.body, check_argument("positions", positions, check))
 
     def park(self) -> None:
         """Remove all variants from the scene."""

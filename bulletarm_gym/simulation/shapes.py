@@ -12,7 +12,9 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from bulletarm_gym.config_checks import Check, check_fields, colour, instance, instances, numbers
 from bulletarm_gym.geometry import FloatArray, Mesh, Pose, Vector, join, mass_properties
+from bulletarm_gym.geometry.poses import pose_check
 
 Colour: TypeAlias = tuple[float, float, float, float]
 """Red, green, blue and opacity, 0 to 1."""
@@ -29,6 +31,9 @@ class Box:
     """A box of full side lengths ``extents`` (m), centred on its frame."""
 
     extents: Vector
+
+    def __post_init__(self) -> None:
+        check_fields(self, {"extents": numbers("non-negative", 3)})
 
     @property
     def mesh(self) -> Mesh:
@@ -53,6 +58,9 @@ class Piece:
     shape: Shape
     pose: Pose = ORIGIN
 
+    def __post_init__(self) -> None:
+        check_fields(self, {"shape": instance(Box, Convex), "pose": pose_check})
+
     @property
     def mesh(self) -> Mesh:
         """The piece's triangles in the body's frame."""
@@ -65,6 +73,17 @@ class Piece:
             return Piece(Box(_scaled(self.shape.extents, factor)), pose)
         mesh = self.shape.mesh
         return Piece(Convex(Mesh.of(mesh.vertices * factor, mesh.faces)), pose)
+
+
+PIECES = instances(Piece, "pieces")
+"""Check of the pieces of a body."""
+FRICTIONS = ("friction", "rolling_friction", "spinning_friction")
+"""Names of the friction coefficients of a body."""
+
+
+def amounts(*names: str) -> dict[str, Check]:
+    """Return the check of non-negative numbers for each of some names."""
+    return dict.fromkeys(names, numbers("non-negative"))
 
 
 @dataclass(frozen=True)
@@ -87,6 +106,10 @@ class MovingPart:
     friction: float = 1.0
     resistance: float = 0.0
     colour: Colour = RED
+
+    def __post_init__(self) -> None:
+        vectors = {"axis": numbers(count=3), "limits": numbers(count=2), "colour": colour}
+        check_fields(self, {"pieces": PIECES, **amounts("mass", "friction", "resistance"), **vectors})
 
     @property
     def mesh(self) -> Mesh:
@@ -148,13 +171,9 @@ class BodySpec:
     is_mark: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("mass", "friction", "rolling_friction", "spinning_friction", "angular_damping"):
-            if not 0.0 <= (value := getattr(self, name)) < math.inf:
-                raise ValueError(
-                    f"{name} of {self.name!r} must be a finite number of at least 0, got {value}"
-                )
-        if len(self.colour) != 4:
-            raise ValueError(f"colour of {self.name!r} must be red, green, blue and alpha, got {self.colour}")
+        parts = {"slides": instances(Slide, "slides"), "hinges": instances(Hinge, "hinges")}
+        numbers = amounts("mass", *FRICTIONS, "angular_damping")
+        check_fields(self, {"pieces": PIECES, **parts, **numbers, "colour": colour}, f" of {self.name!r}")
 
     @cached_property
     def mesh(self) -> Mesh:
@@ -287,14 +306,17 @@ def _obj_parts(path: Path) -> list[tuple[str, FloatArray]]:
     # A backslash at the end of a line continues it.
     for line in text.replace("\\\r\n", " ").replace("\\\n", " ").splitlines():
         kind, *words = line.split() or [""]
-        if kind in ("o", "g"):
-            parts.append((" ".join(words), []))
-        elif kind == "v":
-            x, y, z = (float(word) for word in words[:3])
-            vertices.append([x, y, z])
-        elif kind == "f":
-            first, *others = (_vertex(word, len(vertices)) for word in words)
-            parts[-1][1].extend(corner for pair in pairwise(others) for corner in (first, *pair))
+        try:
+            if kind in ("o", "g"):
+                parts.append((" ".join(words), []))
+            elif kind == "v":
+                x, y, z = (float(word) for word in words[:3])
+                vertices.append([x, y, z])
+            elif kind == "f":
+                first, *others = (_vertex(word, len(vertices)) for word in words)
+                parts[-1][1].extend(corner for pair in pairwise(others) for corner in (first, *pair))
+        except ValueError as error:
+            raise ValueError(f"{error}, in the line {line!r}") from error
     points = np.array(vertices, dtype=np.float64).reshape(-1, 3)
     return [(name, points[indices]) for name, indices in parts if indices]
 

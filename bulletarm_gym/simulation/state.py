@@ -7,8 +7,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bulletarm_gym.config_checks import check_fields, colour
 from bulletarm_gym.geometry import FloatArray, Pose, Vector, from_rotvec, matrix
-from bulletarm_gym.simulation.shapes import BodySpec, Colour
+from bulletarm_gym.simulation.shapes import FRICTIONS, BodySpec, Colour, amounts
 
 Twist = tuple[Vector, Vector]
 """Linear (m/s) and angular (rad/s) velocity."""
@@ -17,8 +18,6 @@ REST_RADIUS = 0.05
 """Distance (m) from the centre of mass at which the angular velocity of a body counts as speed."""
 REST_SPEED = 0.01
 """Maximum speed (m/s) of a body at rest. Gravity adds four times as much in one simulation step."""
-NUMBERS = ("mass", "friction", "rolling_friction", "spinning_friction", "restitution")
-"""Names of the properties that are numbers."""
 
 
 @dataclass(frozen=True)
@@ -134,6 +133,7 @@ class Properties:
     :param spinning_friction: coefficient against spinning in place (m)
     :param restitution: maximum ratio of the speeds after and before an impact
     :param colour: red, green, blue and opacity, 0 to 1
+    :raises ValueError: a value is not a number or out of range
     """
 
     mass: float
@@ -143,6 +143,9 @@ class Properties:
     restitution: float
     colour: Colour
 
+    def __post_init__(self) -> None:
+        check_fields(self, {**amounts("mass", *FRICTIONS, "restitution"), "colour": colour})
+
     @classmethod
     def of(cls, spec: BodySpec) -> "Properties":
         """Return the properties that a body is loaded with."""
@@ -151,20 +154,13 @@ class Properties:
 
     def changed(self, **changes: Any) -> "Properties":
         """Return the properties with some of them changed, or raise TypeError if one is unknown."""
-        made = replace(self, **changes)
-        numbers: dict[str, Any] = {name: float(getattr(made, name)) for name in NUMBERS}
-        return Properties(**numbers, colour=tuple(map(float, made.colour)))  # type: ignore[arg-type]
+        return replace(self, **changes)
 
     def check(self, spec: BodySpec) -> None:
-        """Raise ValueError if a property is out of range for a body."""
-        for name in NUMBERS:
-            if not 0.0 <= (value := getattr(self, name)) < math.inf:
-                raise ValueError(f"{name} must be a finite number of at least 0, got {value!r}")
+        """Raise ValueError if the mass is out of range for a body."""
         if (spec.mass > 0.0) != (self.mass > 0.0):
             must = "a positive number" if spec.mass > 0.0 else "0 for a fixed body"
             raise ValueError(f"mass must be {must}, got {self.mass!r}")
-        if len(self.colour) != 4 or not all(0.0 <= part <= 1.0 for part in self.colour):
-            raise ValueError(f"colour must be 4 numbers from 0 to 1, got {self.colour!r}")
 
 
 @dataclass(frozen=True)

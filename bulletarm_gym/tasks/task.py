@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, EnvConfig, TaskDefaults, default_home_height
-from bulletarm_gym.config_checks import ParameterError
+from bulletarm_gym.config_checks import ParameterError, check_argument, instances, truth
 from bulletarm_gym.control import Control, GraspParams
 from bulletarm_gym.experts import Waypoint
 from bulletarm_gym.geometry import FloatArray, Footprint, PlacementError, Pose
@@ -315,18 +315,17 @@ def checked_options(options: Mapping[str, Any] | None, task: Task) -> dict[str, 
 
 def checked_slots(slots: Any, task: Task) -> Sequence[ObjectSlot]:
     """Return the valid object slots of a task's ``bodies()``."""
-    must = f"bodies() of {type(task).__name__} must return"
-    if not isinstance(slots, Sequence) or not all(isinstance(slot, ObjectSlot) for slot in slots):
-        raise ValueError(f"{must} a list of slots, got {slots!r}")
-    names = [slot.name for slot in slots]
+    name = f"bodies() of {type(task).__name__}"
+    found: tuple[ObjectSlot, ...] = check_argument(name, slots, instances(ObjectSlot, "slots"))
+    must, names = f"{name} must return", [slot.name for slot in found]
     if len(set(names)) < len(names):
         raise ValueError(f"{must} slots with distinct names, got {', '.join(map(repr, names))}")
-    for number, slot in enumerate(slots):
-        alike = [other for other in slots[:number] if other.name == slot.like and not other.like]
+    for number, slot in enumerate(found):
+        alike = [other for other in found[:number] if other.name == slot.like and not other.like]
         if slot.like and [len(other.variants) for other in alike] != [len(slot.variants)]:
             reason = f"an earlier slot with {len(slot.variants)} variants as like of {slot.name!r}"
             raise ValueError(f"{must} {reason}, got {slot.like!r}")
-    return slots
+    return found
 
 
 def evaluated(task: Task, scene: Scene, ignored: bool) -> dict[str, bool]:
@@ -338,7 +337,8 @@ def evaluated(task: Task, scene: Scene, ignored: bool) -> dict[str, bool]:
     if not isinstance(predicates, Mapping) or "success" not in predicates or not INFO.isdisjoint(predicates):
         must = f"a dict with 'success' and without {', '.join(map(repr, sorted(INFO)))}"
         raise ValueError(f"evaluate() of {type(task).__name__} must return {must}, got {predicates!r}")
-    values = {name: bool(value) for name, value in predicates.items()}
+    name = f"of evaluate() of {type(task).__name__}"
+    values = {key: bool(check_argument(f"{key} {name}", value, truth)) for key, value in predicates.items()}
     is_valid = bool(task.is_valid(scene))
     success = values.pop("success") and is_valid
     return {"is_success": success, "is_valid": is_valid, "ignored": ignored, **values}
@@ -346,11 +346,9 @@ def evaluated(task: Task, scene: Scene, ignored: bool) -> dict[str, bool]:
 
 def finite_reward(value: Any, reward: Callable[..., Any]) -> float:
     """Return a valid reward as a number."""
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        number = math.nan
-    if not math.isfinite(number):
+    number = np.asarray(value)
+    if number.shape or number.dtype.kind not in "biuf" or not np.isfinite(number):
         name = f"{reward.__module__}:{getattr(reward, '__qualname__', type(reward).__name__)}"
-        raise ValueError(f"reward must be a function that returns finite numbers, got {value!r} from {name}")
-    return number
+        must = "a function that returns finite numbers"
+        raise ParameterError.of("reward", value, must, f"returned by {name}")
+    return float(number)

@@ -1,6 +1,7 @@
 """Components from Python objects or from YAML, and checks of arguments."""
 
 from collections.abc import Callable, Mapping
+from numbers import Real
 from typing import Any, TypeVar
 
 Component = TypeVar("Component")
@@ -29,21 +30,21 @@ def make_components(
 
 
 def check_fraction(**arguments: float) -> None:
-    """Raise a ValueError that names the argument if a value is not in [0, 1]."""
-    for name, value in arguments.items():
-        if not 0 <= value <= 1:
-            raise ValueError(f"{name} must be between 0 and 1, got {value}")
+    """Raise a ValueError that names the argument if a value is not a number in [0, 1]."""
+    _check("a number from 0 to 1", lambda value: 0 <= value <= 1, arguments)
 
 
 def check_positive(**arguments: float) -> None:
-    """Raise a ValueError that names the argument if a value is not positive."""
-    for name, value in arguments.items():
-        if value <= 0:
-            raise ValueError(f"{name} must be positive, got {value}")
+    """Raise a ValueError that names the argument if a value is not a positive number."""
+    _check("a positive number", lambda value: value > 0, arguments)
 
 
 def check_not_negative(**arguments: float) -> None:
-    """Raise a ValueError that names the argument if a value is negative."""
+    """Raise a ValueError that names the argument if a value is not a number of at least 0."""
+    _check("a number of at least 0", lambda value: value >= 0, arguments)
+
+
+def _check(must: str, is_valid: Callable[[Any], bool], arguments: Mapping[str, Any]) -> None:
     for name, value in arguments.items():
-        if value < 0:
-            raise ValueError(f"{name} must not be negative, got {value}")
+        if not (isinstance(value, Real) and is_valid(value)):
+            raise ValueError(f"{name} must be {must}, got {value!r}")

@@ -104,12 +104,13 @@ def square_images(parts: Mapping[str, gym.Space[Any]]) -> dict[str, spaces.Box]:
         return images
     shapes = {key: space.shape or space for key, space in parts.items()}
     advice = (
-        ". Use neither FlattenObservation nor FrameStackObservation for images, "
+        "Use neither FlattenObservation nor FrameStackObservation for images, "
         "and a StatePolicy or the MlpExtractor for numbers alone."
     )
+    if images:
+        advice = "Use channels_order='first' with VecFrameStack."
     raise ValueError(
-        f"observation_space must have images, all (channels, size, size), got {shapes}"
-        f"{'' if images else advice}"
+        f"observation_space must have images, all (channels, size, size), got {shapes}. {advice}"
     )
 
 

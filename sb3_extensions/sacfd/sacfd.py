@@ -15,7 +15,7 @@ from stable_baselines3.sac.policies import SACPolicy
 from stable_baselines3.sac.sac import SAC
 from torch import nn
 
-from sb3_extensions.common.components import check_fraction, check_not_negative
+from sb3_extensions.common.components import check_fraction, check_not_negative, check_positive
 from sb3_extensions.demonstrations.off_policy import Logs
 from sb3_extensions.demonstrations.source import ExpertData
 from sb3_extensions.replay.rotation import AugmentationSpec
@@ -175,9 +175,8 @@ class SACfD(ActorPretraining, SAC):
                 f"{self.critic_warmup_steps}"
             )
         check_fraction(bc_limit=self.bc_limit)
-        temperature = self.self_imitation_temperature
-        if temperature is not None and temperature <= 0:
-            raise ValueError(f"self_imitation_temperature must be None or greater than 0, got {temperature}")
+        if self.self_imitation_temperature is not None:
+            check_positive(self_imitation_temperature=self.self_imitation_temperature)
 
     def _setup_model(self) -> None:
         super()._setup_model()

@@ -189,7 +189,7 @@ def test_spec_has_the_number_of_steps_of_an_episode():
     """Made with some parameters, and again from its spec with others."""
     for first, then, steps in (
         ({}, {}, 50),
-        ({"max_steps": 7, "max_episode_steps": 60}, {}, 60),
+        ({"max_steps": 60, "max_episode_steps": 60}, {}, 60),
         ({}, {"max_steps": 6}, 6),
         ({"max_steps": 60}, {"max_episode_steps": 7}, 7),
         ({"max_episode_steps": -1}, {}, UNLIMITED),
@@ -202,6 +202,9 @@ def test_spec_has_the_number_of_steps_of_an_episode():
             env.reset(seed=0)
             ends = [env.step(idle(env.unwrapped))[2:4] for _ in range(min(steps, 60))]
             assert ends == [(False, False)] * (len(ends) - 1) + [(False, steps <= 60)]
+    for limit in (3, -1):
+        with pytest.raises(ValueError, match=r"^max_steps must be .* max_episode_steps .*, got 5"):
+            gymnasium.make(PICKING, obs_size=16, max_steps=5, max_episode_steps=limit)
 
 
 def test_no_step_after_the_end(picking):

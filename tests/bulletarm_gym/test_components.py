@@ -23,7 +23,7 @@ from bulletarm_gym.surfaces import FlatSurface
 
 GRASPING = "BulletArm/CloseLoopObjectGrasping-v0"
 HERE = Path(__file__).parent
-TASK = "bulletarm_gym.tasks.picking:BlockPicking"
+TASK, BOTH = "bulletarm_gym.tasks.picking:BlockPicking", "bulletarm_gym.tasks.stacking:BlockStacking"
 
 
 @pytest.fixture(autouse=True)
@@ -91,7 +91,7 @@ def test_spawned_workers_find_registered_components(mine):
 @pytest.mark.parametrize(("control", "prefix"), [("close_loop", "CloseLoop"), ("open_loop", "OpenLoop")])
 def test_ids_name_control_and_surface(control, prefix):
     for surface, word in (("high_ground", "HighGround"), ("ramp", "Ramp"), ("tray", "Tray"), ("flat", "")):
-        env_id = bulletarm_gym.register_task("Mine", TASK, control, surface)
+        env_id = bulletarm_gym.register_task("Mine", BOTH, control, surface)
         assert env_id == f"BulletArm/{prefix}{word}Mine-v0"
         expected = "my_parts:Raised" if surface == "high_ground" else surface
         assert gymnasium.spec(env_id).kwargs["surface"] == expected

@@ -128,11 +128,15 @@ def test_values_of_a_urdf_are_used(tmp_path):
 COLOURED = f'<visual>{BOX}<material name="paint"><color rgba="255 0 0 255"/></material></visual>'
 
 
+CYLINDER = '<collision><geometry><cylinder radius="-0.01" length="0.1"/></geometry></collision>'
+
+
 @pytest.mark.parametrize(
     ("name", "text", "reason"),
     [
         ("a.obj", "v 0 0 0\n", "no faces"),
-        ("a.obj", "v 0 0 0\nf 1 2 3\n", "names vertex 2 of 1"),
+        ("a.obj", "v 0 0 0\nf 1 2 3\n", "names vertex 2 of 1.*'f 1 2 3'"),
+        ("a.obj", "v 0 zero 0\n", "'v 0 zero 0'"),
         ("a.obj", "o label\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 3\nf 2 3 4\n", "plane.*part 'label'"),
         ("a.obj", f"{OBJ}f 1 2 3\nf 2 3 4\n", "sides must be .* got 1 x 1 x 1"),
         ("a.urdf", "<robot", "not XML"),
@@ -143,6 +147,7 @@ COLOURED = f'<visual>{BOX}<material name="paint"><color rgba="255 0 0 255"/></ma
         ("a.urdf", "<inertial><mass/></inertial>", "value of <mass> .* got ''"),
         ("a.urdf", COLOURED, "rgba of <color> .* got '255 0 0 255'"),
         ("a.urdf", "<collision><geometry><capsule/></geometry></collision>", "got capsule"),
+        ("a.urdf", CYLINDER, "radius must be a positive number, got -0.01"),
         ("a.txt", "", "no .obj, no .stl and no .urdf"),
     ],
 )

@@ -161,7 +161,7 @@ def test_invalid_field_of_a_model_or_a_gripper_is_named():
         ("joints", (*KUKA.joints[:-1], "nothing"), ("nothing",)),
         ("tool", KUKA.tool.compose(Pose.planar(0.0, 0.0, 0.0, math.pi / 2.0)), ("tool", "90 degrees")),
         ("load", lambda: ElementTree.ElementTree(KUKA.load()), ("load()", "<robot>")),
-        ("posture", (0.0, 0.6, 0.0), ("posture", "(7,)")),
+        ("posture", (0.0, 0.6, 0.0), ("posture", "7 finite numbers")),
         ("posture", (math.nan,) * 7, ("posture", "nan")),
         ("posture", (0.0, 0.6, 0.0, -2.5, 0.0, 0.7, 0.0), ("posture", "-2.5", "lbr_iiwa_joint_4")),
         ("force", 0.0, ("force", "positive")),

@@ -103,6 +103,8 @@ UNBOUNDED = box(1, 8, 8, high=np.inf)
         (lambda: Quantiser(box(1, 4, 4, low=1000.0, high=1000.01), "uint16"), "too narrow"),
         (lambda: ShareSampler(0.7, 0.4), "expert_fraction success_fraction 0.7 + 0.4"),
         (lambda: ShareSampler(balanced_from=0), "balanced_from 0"),
+        (lambda: ShareSampler("0.5"), "expert_fraction '0.5'"),
+        (lambda: PrioritizedSampler(expert_bonus=float("nan")), "expert_bonus nan"),
         (lambda: PrioritizedSampler(exponent=1.5), "exponent 1.5"),
         (lambda: PrioritizedSampler(expert_bonus=-1.0), "expert_bonus -1"),
         (lambda: codec(num_tilts=0), "num_tilts 0"),

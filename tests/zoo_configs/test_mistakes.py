@@ -48,7 +48,12 @@ TRAIN --seed 1e9                                                  => --seed
 TRAIN --device cuda:99                                            => 'cuda:99'
 TRAIN -i none.zip                                                 => none.zip
 TRAIN -f /dev/null/folder                                         => /dev/null/folder
+TRAIN --dry-run -f /dev/null/folder                               => --log-folder
+TRAIN --dry-run --env-kwargs obs_size:8                           => obs_size
+TRAIN --dry-run --device cuda:99                                  => 'cuda:99'
+TRAIN --dry-run -params expert_data:none.h5                       => none.h5
 TRAIN --gym-packages frobnicate                                   => 'frobnicate'
+TRAIN --gym-packages leaving                                      => 'leaving'
 TRAIN --env-kwargs obs_size:8                                     => obs_size
 TRAIN --env-kwargs options:x                                      => options
 TRAIN -params gama:1                                              => 'gamma'
@@ -60,6 +65,10 @@ TRAIN -params train_freq:[1,week]                                 => train_freq
 TRAIN -params action_noise:1                                      => noise_type
 TRAIN -params expert_episodes:-1                                  => expert_episodes
 TRAIN -params expert_data:none.h5                                 => none.h5
+TRAIN -params expert_data:3                                       => expert_data
+TRAIN -params env_wrapper:none.Wrapper                            => env_wrapper
+TRAIN -params "policy_kwargs:dict(net_arch="                      => policy_kwargs
+TRAIN -params noise_type:red                                      => noise_type
 TRAIN -params policy:EquivarantPolicy                             => 'EquivariantPolicy'
 TRAIN -params policy_kwargs:{net_arc:1}                           => policy_kwargs
 TRAIN -params "policy_kwargs:{features_extractor_kwargs: {chanels: []}}" => 'channels'
@@ -92,10 +101,14 @@ enjoy --published blockreaching                                   => CloseLoopBl
 PUBLISHED --baseline frobnicate                                   => equi_sacfd
 PUBLISHED --env TOY                                               => --env
 plot                                                              => logs
+plot -f tiny.yml                                                  => --log-folder must be a folder
+plot -f nowhere                                                   => --log-folder must be a folder
 plot -o curves                                                    => .png
 push nowhere --folder b                                           => nowhere
 push nowhere                                                      => --organization
 push nowhere -orga a --folder b                                   => --folder
+TUNE --env-kwargs view:above                                      => 'view'
+TUNE --device gpu0                                                => 'gpu0'
 TUNE --n-trials 0                                                 => '0'
 TUNE --eval-freq 5                                                => --n-evaluations
 TUNE --pruner halving                                             => 'halving'
@@ -121,6 +134,8 @@ PLANS: list[tuple[Any, str]] = [
     ({**TINY, "seeds": [-1]}, "seeds"),
     ({**TINY, "options": {"eval_frq": 1}}, "'eval_freq'"),
     ({**TINY, "options": 3}, "options"),
+    ({**TINY, "options": {"n_timesteps": "5"}}, "--n-timesteps must be of the type int, got '5'"),
+    ({**TINY, "hyperparams": {"expert_data": "none.h5"}}, "none.h5"),
     ({**TINY, "variants": {"one_step": 1}}, "one_step"),
     ({**TINY, "hyperparams": {"gamma": 2}}, "gamma"),
     ({**TINY, "hyperparams": {"env_kwargs": {"obs_size": 8}}}, "obs_size"),
@@ -137,6 +152,7 @@ def files(tmp_path):
         "tiny.yml": yaml.safe_dump(TINY),
         "space.yml": "bc_wight: {low: 0, high: 1}",
         "damaged.zip": "x",
+        "leaving.py": "import sys; sys.exit(0)",
     }.items():
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text(content)

@@ -14,9 +14,9 @@ from tqdm import tqdm
 from sb3_extensions.replay.buffer import ExpertReplayBuffer
 from zoo_configs.algorithms import algorithm_classes, class_from_path
 from zoo_configs.drawing.curves import load_curve
-from zoo_configs.environments import make_env, try_env
+from zoo_configs.environments import make_env, tried_env
 from zoo_configs.errors import CommandError, refused
-from zoo_configs.experiments.validation import check_experiment
+from zoo_configs.experiments.validation import check_experiment, check_expert_data
 from zoo_configs.files import check_writable
 from zoo_configs.training.objects import import_classes
 from zoo_configs.training.runs import Run, load_run
@@ -71,13 +71,14 @@ def _buffer_gigabytes(job: Run) -> float:
 
 def check_jobs(jobs: Sequence[Run], folder: Path) -> None:
     """Raise ``CommandError`` if a run cannot be trained, or the folder of the benchmark has other runs."""
-    environments = {}
+    different = {}
     for experiment in {job.folder.parent: job.experiment for job in jobs}.values():
         check_experiment(experiment)
-        env_kwargs = experiment.hyperparams.get("env_kwargs", {})
-        environments[json.dumps([experiment.env_id, env_kwargs], default=str)] = experiment.env_id, env_kwargs
-    for env_id, env_kwargs in environments.values():
-        try_env(env_id, env_kwargs)
+        made_of = (experiment.hyperparams.get(name) for name in ("env_kwargs", "expert_data"))
+        different[json.dumps([experiment.env_id, *made_of], default=str)] = experiment
+    for experiment in different.values():
+        with tried_env(experiment.env_id, experiment.hyperparams.get("env_kwargs", {})) as env:
+            check_expert_data(experiment, env)
     check_writable(folder / LOCK_FILE, "--log-folder")
     for job in jobs:
         if job.resolved_file.is_file():

@@ -9,14 +9,13 @@ from zoo_configs.arguments import MAX_SEED
 from zoo_configs.drawing.curves import draw_run
 from zoo_configs.environments import register_environments
 from zoo_configs.errors import CommandError
-from zoo_configs.experiments.config import ExperimentConfig, explained_yaml
+from zoo_configs.experiments.config import explained_yaml
 from zoo_configs.experiments.flags import find_experiment, packages_of
-from zoo_configs.experiments.validation import check_experiment
-from zoo_configs.files import print_written
+from zoo_configs.files import check_writable, print_written
 from zoo_configs.parsers import parse_train
 from zoo_configs.training.options import TrainingOptions, flag, given_options
 from zoo_configs.training.runs import Run, load_run
-from zoo_configs.training.train import TrainingInterrupted, resume_run, train_experiment
+from zoo_configs.training.train import TrainingInterrupted, check_run, resume_run, train_experiment
 
 CHANGEABLE = {"resume", "device", "gym_packages", "progress"}
 """Arguments that are allowed when resuming, with the options but ``trained_agent``."""
@@ -26,7 +25,7 @@ def main(args: argparse.Namespace) -> None:
     """Run the command; raise ``KeyboardInterrupt`` after Ctrl-C, when the model is saved."""
     register_environments(args.gym_packages)
     if args.dry_run and not args.resume:
-        _print_experiment(find_experiment(args), args)
+        _print_experiment(args)
         return
     try:
         _report(_resume(args) if args.resume else _begin(args))
@@ -36,10 +35,13 @@ def main(args: argparse.Namespace) -> None:
         raise
 
 
-def _print_experiment(experiment: ExperimentConfig, args: argparse.Namespace) -> None:
-    check_experiment(experiment)
-    given = given_options(args)
-    print(explained_yaml(experiment, asdict(TrainingOptions.of(experiment, given)), given))
+def _print_experiment(args: argparse.Namespace) -> None:
+    experiment, given = find_experiment(args), given_options(args)
+    options, device = TrainingOptions.of(experiment, given), args.device or "auto"
+    run = Run(Path(), experiment, device=device, options=options, gym_packages=packages_of(args))
+    check_run(run, args.allow_mismatched_demos)
+    check_writable((args.log_folder or Path("logs")) / experiment.algo / "run", "--log-folder")
+    print(explained_yaml(experiment, asdict(options), given))
 
 
 def _begin(args: argparse.Namespace) -> Run:

@@ -9,10 +9,10 @@ import optuna
 from zoo_configs.environments import register_environments
 from zoo_configs.experiments.families import task_name
 from zoo_configs.experiments.flags import find_experiment, packages_of
-from zoo_configs.experiments.validation import check_experiment
 from zoo_configs.files import print_written
 from zoo_configs.training.options import TrainingOptions, given_options
 from zoo_configs.training.runs import Run
+from zoo_configs.training.train import check_run
 from zoo_configs.tuning.space import load_space
 from zoo_configs.tuning.study import (
     BEST_FILE,
@@ -49,12 +49,12 @@ def main(args: argparse.Namespace) -> None:
 
 def _search(args: argparse.Namespace) -> Search:
     experiment = find_experiment(args)
-    check_experiment(experiment)
     name = args.study_name or f"{experiment.label}_{task_name(experiment.env_id)}"
     given = {"verbose": 0, "n_timesteps": int(experiment.hyperparams["n_timesteps"]), **given_options(args)}
     given["eval_freq"] = max(given["n_timesteps"] // args.n_evaluations, 1)
     given.setdefault("save_freq", given["eval_freq"])
     folder, options = args.log_folder / "studies" / name, TrainingOptions.of(experiment, given)
     run = Run(folder, experiment, args.seed, args.device, options, packages_of(args))
+    check_run(run, allow_mismatched_demos=False)
     space = load_space(experiment, args.hyperparams, args.space)
     return Search(name, run, space, args.n_trials, args.pruner, args.n_startup_trials, args.storage)

@@ -14,10 +14,12 @@ from zoo_configs.algorithms import algorithm_classes, class_from_path
 from zoo_configs.environments import load_expert_data
 from zoo_configs.errors import CommandError, check_names, refused, unknown_name
 from zoo_configs.experiments.config import ExperimentConfig
-from zoo_configs.training.objects import TRAINER_KEYS
+from zoo_configs.training.objects import NOISES, TRAINER_KEYS, described_classes, parsed
 
 RESERVED_KEYS = {"_init_setup_model", "device", "env", "seed", "tensorboard_log", "verbose"}
 """Constructor arguments that the trainer passes to every algorithm."""
+DESCRIBED = ("callback", "env_wrapper", "vec_env_wrapper")
+"""Hyperparameters that describe classes and their arguments."""
 SCHEDULE_PREFIX = "lin_"
 
 
@@ -51,11 +53,14 @@ def _is_period(value: Any) -> bool:
 
 RANGES: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "action_noise": ("None (set noise_type and noise_std instead)", lambda value: value is None),
+    "expert_data": ("None or the path of a file", lambda value: isinstance(value, str | None)),
     "env_kwargs": ("a mapping of parameters", lambda value: isinstance(value, Mapping)),
     "gradient_steps": _number(-1, whole=True),
     "learning_rate": (f"{RATE[0]}, or {SCHEDULE_PREFIX}NUMBER", _is_rate),
     "learning_starts": _number(0, whole=True),
     "n_timesteps": _number(1),
+    "noise_std": _number(0),
+    "noise_type": (f"None or one of {', '.join(NOISES)}", [None, *NOISES].__contains__),
     "policy": ("a name", lambda value: isinstance(value, str)),
     "train_freq": (f"{COUNT[0]}, or [number, 'step' or 'episode']", _is_period),
     **dict.fromkeys(("batch_size", "buffer_size", "frame_stack", "n_envs", "n_epochs", "n_steps"), COUNT),
@@ -82,6 +87,10 @@ def check_experiment(experiment: ExperimentConfig) -> None:
     policy = policy_class(algorithm, experiment.hyperparams["policy"])
     _check_policy_kwargs(policy, experiment.hyperparams.get("policy_kwargs"))
     _check_replay_buffer(algorithm, experiment.hyperparams)
+    for key, value in experiment.hyperparams.items():
+        with refused(f"{key} must be valid, got {value!r}"):
+            parsed({key: value})
+            described_classes(value if key in DESCRIBED else None)
     with refused("augmentation"):
         make_augmentation(experiment.hyperparams.get("augmentation"))
 

@@ -68,6 +68,8 @@ def _check(item: Field[Any], value: Any) -> None:
     kwargs = item.metadata["kwargs"]
     if value == item.default:
         return
+    if type(value).__name__ != (kind := type(item.default).__name__):
+        raise CommandError(f"{flag(item.name)} must be of the type {kind}, got {value!r}")
     check_names(flag(item.name), [value], kwargs.get("choices", [value]))
     try:
         kwargs.get("type", str)(str(value))
