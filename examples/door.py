@@ -35,7 +35,7 @@ def door(name: str) -> BodySpec:
     panel = Piece(Box((LENGTH, THICKNESS, TOP - 0.01)), Pose((LENGTH / 2, 0.0, TOP / 2)))
     axis, limits = (0.0, 0.0, 1.0), (0.0, LIMIT)
     hinge = Hinge("door", (panel,), mass=0.3, axis=axis, limits=limits, resistance=0.02)
-    return BodySpec(name, tuple(posts), mass=0.0, colour=(0.4, 0.4, 0.45, 1.0), hinges=(hinge,))
+    return BodySpec(name, tuple(posts), mass=0.0, colour=(0.4, 0.4, 0.45, 1.0), parts=(hinge,))
 
 
 class DoorOpening(Task):

@@ -108,21 +108,16 @@ def find_grasps(
 def _search(
     heights: Image, owner: IntArray, size: FloatArray, yaws: FloatArray, depths: FloatArray, lowest: float
 ) -> FloatArray:
-    """Return the grasps at every SPACING-th pixel of every object, x and y in pixels.
-
-    :param size: half stroke, thickness and half width of a finger, clearance (pixels)
-    """
+    """Return the grasps at every SPACING-th pixel of every object; x, y and ``size`` are in pixels."""
     rows = [(0.0, 0.0, 0.0, 0.0, 0.0)]
     between = np.empty((2 * (int(size[2]) + 1) + 1, 2 * int(size[0]) + 1), np.float32)
-    whose = np.empty(between.shape, np.int32)
     for i in range(SPACING // 2, heights.shape[0], SPACING):
         for j in range(SPACING // 2, heights.shape[1], SPACING):
             if owner[i, j] < 0:
                 continue
             for yaw in yaws:
                 frame = (float(i), float(j), math.cos(yaw), math.sin(yaw))
-                _gather(heights, owner, frame, between, whose)
-                top, others = _tops(between, whose, owner[i, j], lowest + OVERLAP)
+                top, others = _gather(heights, owner, frame, owner[i, j], lowest + OVERLAP, between)
                 for depth in depths:
                     tip = max(lowest, top - depth)
                     if others > tip + OVERLAP:
@@ -134,14 +129,17 @@ def _search(
 
 
 @compiled
-def _gather(heights: Image, owner: IntArray, frame: GripFrame, between: Image, whose: IntArray) -> None:
-    """Write heights (m) and owners between the open fingers, outside the map 0 and -1.
+def _gather(
+    heights: Image, owner: IntArray, frame: GripFrame, target: int, least: float, between: Image
+) -> tuple[float, float]:
+    """Write the heights (m) between the open fingers, 0 outside the map, into lines along the opening.
 
-    :param between: (lines, columns), across and along the opening
+    :return: largest heights (m) of a target and of everything else, at least ``least``
     """
     lines, reach = between.shape[0] // 2, between.shape[1] // 2
     margin, far = lines + reach + 1, min(heights.shape) - 1
     inside = margin <= min(frame[0], frame[1]) and max(frame[0], frame[1]) <= far - margin
+    top, others = least, least
     for line in range(between.shape[0]):
         across = line - lines
         down, right = across * frame[3], across * frame[2]
@@ -149,24 +147,14 @@ def _gather(heights: Image, owner: IntArray, frame: GripFrame, between: Image, w
             along = place - reach
             row = int(np.rint(frame[0] + along * frame[2] - down))
             column = int(np.rint(frame[1] + along * frame[3] + right))
+            height, whose = np.float32(0.0), -1
             if inside or (0 <= row < heights.shape[0] and 0 <= column < heights.shape[1]):
-                between[line, place], whose[line, place] = heights[row, column], owner[row, column]
-            else:
-                between[line, place], whose[line, place] = 0.0, -1
-
-
-@compiled
-def _tops(between: Image, whose: IntArray, target: int, least: float) -> tuple[float, float]:
-    """Return the largest heights (m) of a target and of everything else, at least ``least``."""
-    top, others = least, least
-    for line in range(between.shape[0]):
-        for place in range(between.shape[1]):
-            height = between[line, place]
-            if height > least:
-                if whose[line, place] == target:
-                    top = max(top, height)
-                else:
-                    others = max(others, height)
+                height, whose = heights[row, column], owner[row, column]
+            between[line, place] = height
+            if height > least and whose == target:
+                top = max(top, height)
+            elif height > least:
+                others = max(others, height)
     return top, others
 
 

@@ -28,12 +28,13 @@ class CompileMonitor(event.Listener):
 
     def __init__(self) -> None:
         self.count = 0
-        self.functions: set[Any] = set()
+        self.functions: list[Any] = []
+        """Functions of :func:`compiled`."""
 
     def on_start(self, event: Any) -> None:
         """Count a function that is about to be compiled."""
         function = event.data["dispatcher"]
-        if function.py_func not in self.functions:
+        if function not in self.functions:
             return
         if not self.count:
             folder = function.stats.cache_path
@@ -55,7 +56,6 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
 
     If Numba finds no writable cache folder, the cache is in the folder of temporary files.
     """
-    MONITOR.functions.add(function)
     try:
         return _cached(function)
     except RuntimeError:  # neither the package's folder nor the user's cache folder is writable
@@ -67,6 +67,7 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
 
 def _cached(function: Callable[P, R]) -> Callable[P, R]:
     found: Callable[P, R] = njit(cache=True, error_model="numpy")(function)
+    MONITOR.functions.append(found)
     return found
 
 

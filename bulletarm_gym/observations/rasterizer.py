@@ -73,10 +73,7 @@ def _draw_triangle(
     ib: int,
     ic: int,
 ) -> None:
-    """Raise the pixels whose centre a triangle of corners (u, v, height) covers, if it faces up.
-
-    Raised pixels are labelled if ``labels`` is an array. Otherwise the compiler omits that branch.
-    """
+    """Raise and label the pixels whose centre a triangle of corners (u, v, height) covers, if it faces up."""
     au, av, ah = corners[ia, 0], corners[ia, 1], corners[ia, 2]
     bu, bv, bh = corners[ib, 0] - au, corners[ib, 1] - av, corners[ib, 2] - ah
     cu, cv, ch = corners[ic, 0] - au, corners[ic, 1] - av, corners[ic, 2] - ah
@@ -97,7 +94,7 @@ def _draw_triangle(
             inside = (weight_b >= 0.0) & (weight_c >= 0.0) & (weight_b + weight_c <= area)
             # Summed in this order the height does not depend on which of the axes is u.
             height = np.float32(ah + (slope_u * u + slope_v * v))
-            if labels is not None:
+            if labels is not None:  # the compiler omits this branch if it is None
                 marks = labels[row, left:right]
                 marks[column] = np.int16(label) if inside & (height > line[column]) else marks[column]
             line[column] = height if inside & (height > line[column]) else line[column]

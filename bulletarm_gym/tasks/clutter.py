@@ -232,10 +232,7 @@ class OpenLoopObjectGrasping(ObjectGrasping):
 
 
 def _approach(scene: Scene, elevation: ElevationMap, target: Pose) -> Waypoint:
-    """Return the next waypoint of a grasp: open, move towards it, descend in a funnel, close.
-
-    It is continuous in the tool pose, so that the plan corrects the errors of an agent that imitates it.
-    """
+    """Return the next waypoint of a grasp: open, move towards it, descend in a funnel, close."""
     tool, reach = scene.robot.pose, scene.robot.model.gripper.stroke / 2.0
     if scene.robot.opening_ratio < SHUT:
         top = elevation.top_between(tool.position, tool.position, reach)
@@ -244,7 +241,8 @@ def _approach(scene: Scene, elevation: ElevationMap, target: Pose) -> Waypoint:
     distance = planar_distance(target.position, tool.position)
     if distance < ALIGNED and abs(rotation) < ALIGNED_YAW and abs(target.z - tool.z) < DEEP:
         return Waypoint(Pose.planar(*target.position, tool.yaw + rotation), OPEN, finish=CLOSED)
-    # The distance that remains after this step limits the descent.
+    # The distance that remains after this step limits the descent: a continuous plan corrects the errors of
+    # an agent that imitates it.
     dx = max(0.0, abs(target.x - tool.x) - scene.max_translation)
     dy = max(0.0, abs(target.y - tool.y) - scene.max_translation)
     left = max(math.hypot(dx, dy), FUNNEL_ROTATION * max(0.0, abs(rotation) - scene.max_rotation))

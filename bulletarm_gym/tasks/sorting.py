@@ -121,10 +121,7 @@ def _bowl_of(scene: Scene, block: SceneObject) -> SceneObject:
 
 
 def _take(scene: Scene) -> Iterator[Waypoint]:
-    """Yield the waypoints of a grasp along the sides where the open fingers fit.
-
-    The cube is one outside its bowl, preferably one with such sides, or any cube.
-    """
+    """Yield the waypoints of a grasp of a cube outside its bowl, along sides where the open fingers fit."""
     cubes, tool = _cubes(scene), scene.robot.pose
     remaining = [block for block in cubes if not _is_in(_bowl_of(scene, block), block)] or cubes
     block = next((block for block in remaining if _yaws(scene, block)[1]), remaining[0])
