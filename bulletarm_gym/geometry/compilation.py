@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
 import numba
-from numba import float64, njit
+from numba import njit
 from numba.core import event
-from numba.extending import intrinsic
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -79,16 +78,6 @@ def _temporary_folder() -> Path:
     status = folder.lstat()
     private = not folder.is_symlink() and not status.st_mode & 0o077 and status.st_uid == user
     return folder if private or os.name == "nt" else Path(tempfile.mkdtemp(prefix="bulletarm-gym-"))
-
-
-def _emit_fma(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
-    return float64(float64, float64, float64), lambda context, builder, signature, arguments: builder.fma(
-        *arguments
-    )
-
-
-fma: Callable[[float, float, float], float] = intrinsic(_emit_fma)  # type: ignore[assignment]
-"""``a * b + c`` with one rounding, in compiled code, as in NumPy's matrix product."""
 
 
 SENSORS = ["heightmap", "color", "segmentation", "holding"]
