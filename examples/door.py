@@ -12,9 +12,9 @@ import numpy as np
 import bulletarm_gym
 from bulletarm_gym.config import EnvConfig, TaskDefaults
 from bulletarm_gym.geometry import Pose, planar_distance, wrap_angle
-from bulletarm_gym.objects import BodySpec, Box, Hinge, Piece
 from bulletarm_gym.scene import ObjectSlot, Scene
 from bulletarm_gym.scene.sampling import is_within, sample_until
+from bulletarm_gym.simulation import BodySpec, Box, Hinge, Piece
 from bulletarm_gym.tasks import CLOSED, Task, Waypoint
 
 LENGTH, THICKNESS, TOP = 0.14, 0.012, 0.07

@@ -19,12 +19,9 @@ from bulletarm_gym.simulation import has_display
 from bulletarm_gym.simulation.client import Client
 
 
-def measure_yardstick(steps: int = 2000) -> float:
-    """Return the duration (microseconds) of a simulation step with a KUKA arm and four resting cubes.
-
-    :param steps: number of simulation steps in each of five measurements, of which the median is returned
-    """
-    client = Client()
+def measure_yardstick() -> float:
+    """Return the duration (microseconds) of a simulation step with a KUKA arm and four resting cubes."""
+    client, steps = Client(), 2000
     try:
         client.setAdditionalSearchPath(pybullet_data.getDataPath())
         client.setGravity(0, 0, -10)

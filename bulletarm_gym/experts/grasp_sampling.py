@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from bulletarm_gym.geometry import FloatArray, IntArray
 from bulletarm_gym.geometry.compilation import compiled
-from bulletarm_gym.observations import HeightRenderer, Window
+from bulletarm_gym.observations import ElevationMap, HeightRenderer, Window
 from bulletarm_gym.robots.gripper import Gripper
 from bulletarm_gym.scene import Scene
 
@@ -39,48 +39,41 @@ GripFrame = tuple[float, float, float, float]
 """Row and column (pixels) of a gripper's centre, cosine and sine of its yaw."""
 
 
-@dataclass(frozen=True)
-class ElevationMap:
-    """Heights in a square of the scene, with one layer per object.
+@dataclass(frozen=True, kw_only=True)
+class ClutterMap(ElevationMap):
+    """Heights of a scene, and which of its objects they belong to.
 
-    :param layers: (n, size, size) heights (m) of each object, 0 elsewhere
-    :param ground: (size, size) heights (m) of everything else
-    :param centre: world x and y of the centre (m)
-    :param extent: side of the square (m)
+    :param objects: (n, n) heights (m) of the objects alone, 0 elsewhere
+    :param owner: (n, n) number of the highest object, -1 where something else is higher
     """
 
-    layers: Image
-    ground: Image
-    centre: tuple[float, float]
-    extent: float
+    objects: Image
+    owner: IntArray
 
     @classmethod
-    def of(cls, scene: Scene) -> "ElevationMap":
-        """Return the elevation map of the workspace and a strip around it."""
+    def of(cls, scene: Scene) -> "ClutterMap":
+        """Return the map of the workspace and a strip around it."""
         centre, extent = scene.config.centre, scene.config.workspace_size + 2.0 * SURROUNDINGS
-        size = round(extent / PITCH)
-        bodies = [obj.body for obj in scene]
-        renderer, window = HeightRenderer.of(scene), Window(centre, extent, size)
-        layers = [renderer.heights_of([body], window) for body in bodies]
-        others = [body for body in scene.world.obstacles if body not in bodies]
-        return cls(np.stack(layers), renderer.heights_of(others, window), centre, extent)
-
-    @property
-    def pitch(self) -> float:
-        """Side of a pixel (m)."""
-        return self.extent / len(self.ground)
+        renderer, window = HeightRenderer.of(scene), Window(centre, extent, round(extent / PITCH))
+        labels, bodies = np.zeros((window.size, window.size), np.int16), [obj.body for obj in scene]
+        objects = renderer.heights_of(bodies, window, labels)
+        ground = renderer.heights_of([b for b in scene.world.obstacles if b not in bodies], window)
+        number_of = {body.index: number for number, body in enumerate(bodies)}
+        numbers = np.array([0, *(number_of.get(body.index, 0) for body in renderer.bodies)], np.int32)
+        owner = np.where(objects >= ground, numbers[labels], -1).astype(np.int32)
+        return cls(np.maximum(objects, ground), centre, extent, objects=objects, owner=owner)
 
     def top_between(self, first: Sequence[float], second: Sequence[float], reach: float) -> float:
         """Return the largest height (m) of an object in the box of two points, extended by ``reach`` (m)."""
         box = np.sort([first[:2], second[:2]], axis=0)
         box += np.array([[-reach], [reach]])
-        corners = (box - self.centre + self.extent / 2.0) / self.pitch
-        (row, column), (last_row, last_column) = corners.astype(int).clip(0, len(self.ground) - 1)
-        return float(self.layers[:, row : last_row + 1, column : last_column + 1].max())
+        corners = (box - self.centre + self.extent / 2.0) / self.resolution
+        (row, column), (last_row, last_column) = corners.astype(int).clip(0, len(self.objects) - 1)
+        return float(self.objects[row : last_row + 1, column : last_column + 1].max())
 
 
 def find_grasps(
-    elevation: ElevationMap,
+    clutter: ClutterMap,
     gripper: Gripper,
     yaws: Sequence[float],
     lowest: float,
@@ -93,14 +86,13 @@ def find_grasps(
     :param depths: depths (m) of the fingertips below the highest point between the fingers
     :return: (n, 5) x, y, z (m) and yaw (rad) of the fingertips, and quality, up to 0.35
     """
-    objects = elevation.layers.max(axis=0)
-    owner = np.where(objects >= elevation.ground, elevation.layers.argmax(axis=0), -1).astype(np.int32)
     lengths = [gripper.stroke / 2.0, gripper.finger[0], gripper.finger[1] / 2.0, DESCENT_CLEARANCE]
-    size = np.array(lengths) / elevation.pitch
-    heights = np.maximum(objects, elevation.ground)
-    found: FloatArray = _search(heights, owner, size, np.array(yaws), np.array(depths), lowest)
-    middle = (objects.shape[0] - 1) / 2.0
-    found[:, :2] = (found[:, :2] - middle) * elevation.pitch + elevation.centre
+    size = np.array(lengths) / clutter.resolution
+    found: FloatArray = _search(
+        clutter.heights, clutter.owner, size, np.array(yaws), np.array(depths), lowest
+    )
+    middle = (len(clutter.heights) - 1) / 2.0
+    found[:, :2] = (found[:, :2] - middle) * clutter.resolution + clutter.centre
     return found
 
 

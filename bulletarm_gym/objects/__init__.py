@@ -8,12 +8,3 @@ from bulletarm_gym.objects.blocks import (
 )
 from bulletarm_gym.objects.catalogue import create as create
 from bulletarm_gym.objects.containers import bowl as bowl, corner as corner, drawer as drawer
-from bulletarm_gym.simulation.shapes import (
-    BodySpec as BodySpec,
-    Box as Box,
-    Colour as Colour,
-    Convex as Convex,
-    Hinge as Hinge,
-    Piece as Piece,
-    Slide as Slide,
-)

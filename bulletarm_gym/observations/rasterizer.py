@@ -112,12 +112,7 @@ def _draw_meshes(
     square: tuple[float, float, float],
     size: int,
 ) -> NDArray[np.float32]:
-    """Draw n posed meshes into a new heightmap, see :class:`ZBuffer`.
-
-    :param vertices: (V, 3) vertices of all meshes in their own frames (m)
-    :param faces: (F, 3) vertex indices, from the first vertex of the mesh on
-    :param ranges: (n, 4) first vertex, first face, end of vertices and end of faces of each mesh
-    """
+    """Draw n posed meshes into a new heightmap, see :class:`ZBuffer`."""
     image = np.zeros((size, size), np.float32)
     corners = np.empty_like(vertices)
     for index in range(len(visible)):
@@ -202,6 +197,7 @@ class ZBuffer:
     def __init__(self, meshes: Sequence[Mesh]) -> None:
         ends = np.cumsum([(len(mesh.vertices), len(mesh.faces)) for mesh in meshes] or [(0, 0)], axis=0)
         starts = ends - np.diff(ends, axis=0, prepend=0)
+        # First vertex, first face, end of vertices and end of faces of each mesh, (n, 4).
         self._ranges = np.hstack([starts, ends]).astype(np.int64)
         self._vertices = np.concatenate([np.empty((0, 3)), *(mesh.vertices for mesh in meshes)])
         self._faces = np.concatenate([np.empty((0, 3), np.int32), *(mesh.faces for mesh in meshes)])

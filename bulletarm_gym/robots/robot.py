@@ -138,11 +138,10 @@ class Robot(CollidingArm):
         beside = Pose((x, y, z), pose.orientation)
         return beside if self.reaches(beside) else None
 
-    def move_joints(self, positions: Sequence[float], in_contact: bool = True) -> None:
-        """Move the arm joints by simulation. A blocked arm stops.
+    def move_joints(self, positions: Sequence[float]) -> None:
+        """Move the arm joints by simulation, as slowly as in contact. A blocked arm stops.
 
         :param positions: joint positions (rad) in the order of ``model.joints``
-        :param in_contact: move slowly, because the robot may push an object
         :raises ValueError: the number of positions is wrong, or one is outside its limits
         """
         goal, limits = np.array(positions, dtype=np.float64), self.model.chain.limits
@@ -150,7 +149,7 @@ class Robot(CollidingArm):
             must = f"{len(limits)} joint positions (rad) within {limits.tolist()}"
             raise ValueError(f"positions must be {must}, got {positions}")
         length = path_length(self.pose, self.model.chain.forward(goal))
-        self._follow([tuple(goal.tolist())], length, in_contact)
+        self._follow([tuple(goal.tolist())], length, in_contact=True)
 
     def _follow(self, stops: Sequence[Sequence[float]], length: float, in_contact: bool) -> Vector | None:
         steps, rise = self.duration(stops, length, in_contact and self.held is None)

@@ -6,8 +6,9 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from bulletarm_gym.geometry import FloatArray, Pose, Vector, from_rotvec, matrix
+from bulletarm_gym.geometry import FloatArray, Pose, Vector, matrix
 from bulletarm_gym.simulation.shapes import BodySpec, Colour
 
 Twist = tuple[Vector, Vector]
@@ -58,7 +59,7 @@ class Optics:
     def camera_error(self) -> FloatArray:
         """Transformation (4, 4) from nominal to actual camera coordinates (m)."""
         error = np.eye(4)
-        error[:3, :3] = matrix(Pose((0.0, 0.0, 0.0), from_rotvec(self.rotation)))
+        error[:3, :3] = Rotation.from_rotvec(self.rotation).as_matrix()
         error[:3, 3] = self.position
         return np.asarray(np.linalg.inv(error), np.float64)
 

@@ -6,10 +6,11 @@ import math
 import numpy as np
 import pytest
 from rollouts import PICKING, TYPICAL, finish, step_on
+from scipy.spatial.transform import Rotation
 
 from bulletarm_gym.check.robot import TILT, grid
 from bulletarm_gym.config import WORKSPACES
-from bulletarm_gym.geometry import Pose, as_rotvec, euler_pose, wrap_angle
+from bulletarm_gym.geometry import Pose, euler_pose, wrap_angle
 from bulletarm_gym.robots import ROBOTS, OutOfReachError
 from bulletarm_gym.robots.kinematics import POSITION_TOLERANCE
 from bulletarm_gym.simulation.motion import interpolate_path
@@ -43,8 +44,8 @@ def robot(armed):
 
 def far(first, second):
     """Return the distance (m) or the angle (rad) between two poses, whichever is larger."""
-    change = first.inverse().compose(second)
-    return max(math.dist(first.position, second.position), math.hypot(*as_rotvec(change.orientation)))
+    start, end = (Rotation.from_quat(pose.orientation) for pose in (first, second))
+    return max(math.dist(first.position, second.position), (start.inv() * end).magnitude())
 
 
 def reached(model, heights, control, tilt=0.0):
