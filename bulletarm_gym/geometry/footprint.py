@@ -62,8 +62,8 @@ class Footprint:
 
     @cached_property
     def reach(self) -> FloatArray:
-        """Extent (m) from the world's origin in each direction, (:data:`DIRECTIONS`,)."""
-        reach: FloatArray = (self.points @ _COMPASS).max(axis=0)
+        """Extent (m) from the world's origin in :data:`DIRECTIONS` directions, -inf without points."""
+        reach: FloatArray = (self.points @ _COMPASS).max(axis=0, initial=-np.inf)
         return reach
 
     @property

@@ -2,6 +2,8 @@
 
 import itertools
 import math
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -233,3 +235,13 @@ def test_torques_agree_with_the_simulator(armed, robot):
         expected = world.client.calculateInverseDynamics(robot.body.id, *(part.tolist() for part in motion))
         torques = robot.dynamics.torques(*(part[slots] for part in motion))
         assert torques == pytest.approx(np.array(expected)[slots], abs=0.1)
+
+
+PAGE = Path(__file__).parents[2] / "docs" / "guides" / "robot.md"
+
+
+def test_the_page_names_members_of_the_robot(make):
+    robot = make(PICKING).scene.robot
+    table = PAGE.read_text(encoding="utf-8").partition("| member of `scene.robot` |")[2].partition("\n\n")[0]
+    names = [name for row in table.splitlines()[2:] for name in re.findall(r"`(\w+)", row.split("|")[1])]
+    assert len(names) > 5 and [name for name in names if not hasattr(robot, name)] == []
