@@ -41,35 +41,26 @@ Frames = tuple[FloatArray, FloatArray, FloatArray]
 class Chain:
     """Revolute joints from the world to a tool.
 
-    :param rotations: (n + 1, 3, 3) fixed rotations before each joint and before the tool
-    :param translations: (n + 1, 3) fixed offsets (m) before each joint and before the tool
-    :param axes: (n, 3) unit axis of each joint in its own frame
+    :param frames: (n + 1, 3, 3) fixed rotations and (n + 1, 3) fixed offsets (m) before each joint and before
+        the tool; (n, 3) unit axis of each joint in its own frame
     :param limits: (n, 2) lower and upper limit (rad) of each joint, infinite for a continuous joint
     """
 
-    rotations: FloatArray
-    translations: FloatArray
-    axes: FloatArray
+    frames: Frames
     limits: FloatArray
-
-    @property
-    def frames(self) -> Frames:
-        """Rotations, translations and axes."""
-        return self.rotations, self.translations, self.axes
 
     @classmethod
     def from_urdf(cls, root: Element, joints: Sequence[str], base: Pose, tool: Pose) -> "Chain":
         """Return the chain of named joints of a URDF and a tool frame in the last link."""
         elements = [find(root, "joint", name) for name in joints]
         first, *others = map(frame_of, elements)
-        frames = [base.compose(first), *others, tool]
-        axes = np.array([axis_of(element) for element in elements])
-        return cls(
-            np.stack([matrix(frame) for frame in frames]),
-            np.array([frame.position for frame in frames]),
+        poses, axes = [base.compose(first), *others, tool], np.array([*map(axis_of, elements)])
+        frames = (
+            np.stack([matrix(pose) for pose in poses]),
+            np.array([pose.position for pose in poses]),
             np.array([axis / np.linalg.norm(axis) for axis in axes]),
-            np.array([limits_of(element) for element in elements]),
         )
+        return cls(frames, np.array([*map(limits_of, elements)]))
 
     def forward(self, joints: FloatArray) -> Pose:
         """Return the tool's pose in the world at joint positions (n,) rad."""

@@ -193,7 +193,7 @@ class Dynamics:
         self._masses = np.array([*(link.mass for link in moved), tip_mass])
         self._centres = np.array([*(link.frame.position for link in moved), (0.0, 0.0, 0.0)])
         self._inertias = np.array([*inertias, np.zeros((3, 3))])
-        self._frames = (chain.rotations, chain.translations, np.vstack([chain.axes, (0.0, 0.0, 1.0)]))
+        self._frames = (*chain.frames[:2], np.vstack([chain.frames[2], (0.0, 0.0, 1.0)]))
 
     def torques(
         self, positions: FloatArray, rates: FloatArray, accelerations: FloatArray, load: float = 0.0
