@@ -139,7 +139,7 @@ def _gather(
             along = place - reach
             row = int(np.rint(frame[0] + along * frame[2] - down))
             column = int(np.rint(frame[1] + along * frame[3] + right))
-            height, whose = np.float32(0.0), -1
+            height, whose = 0.0, -1
             if inside or (0 <= row < heights.shape[0] and 0 <= column < heights.shape[1]):
                 height, whose = heights[row, column], owner[row, column]
             between[line, place] = height

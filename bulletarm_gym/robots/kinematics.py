@@ -153,17 +153,16 @@ def _rotation_vector(goal: FloatArray, now: FloatArray) -> FloatArray:
     """Return the rotation vector (rad, world) from ``now`` to ``goal``."""
     r = np.empty((3, 3))
     product(goal, now.T, r)
-    vector = np.array((r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1])) / 2.0
+    vector: FloatArray = np.array((r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1])) / 2.0
     sine, cosine = math.sqrt(dot(vector, vector)), (r[0, 0] + r[1, 1] + r[2, 2] - 1.0) / 2.0
     angle = math.atan2(sine, cosine)
     if sine > HALF_TURN_SINE:
-        return vector * (angle / sine)
-    if cosine >= 0.0:
-        return vector
-    # At an angle of pi the antisymmetric part of the matrix is 0, and the symmetric part gives the axis.
-    column = np.argmax(np.diag(r))
-    norm = math.sqrt(2.0 * (r[column, column] + 1.0))
-    return (r[:, column] + np.eye(3)[column]) * angle / norm
+        vector *= angle / sine
+    elif cosine < 0.0:  # the antisymmetric part of the matrix is 0, and the symmetric part gives the axis
+        column = np.argmax(np.diag(r))
+        norm = math.sqrt(2.0 * (r[column, column] + 1.0))
+        vector = (r[:, column] + np.eye(3)[column]) * angle / norm
+    return vector
 
 
 @compiled
@@ -207,9 +206,8 @@ def _null_step(jacobian: FloatArray, square: FloatArray, beyond: FloatArray, low
         step -= jacobian[i] * weights[i]
     moved = beyond != 0.0
     wanted, norm = dot(beyond[moved], step[moved]), dot(step[moved], step[moved])
-    if norm < 1e-12:
-        return np.zeros(len(step))
-    return step * min(wanted / norm, MAX_NULL_STEP / np.abs(step).max())
+    step *= min(wanted / norm, MAX_NULL_STEP / np.abs(step).max()) if norm >= 1e-12 else 0.0
+    return step
 
 
 @compiled
