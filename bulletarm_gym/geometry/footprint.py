@@ -43,16 +43,10 @@ class Footprint:
         return cls.of(np.array(((-x, -y, 0.0), (x, -y, 0.0), (x, y, 0.0), (-x, y, 0.0))), pose)
 
     @property
-    def centre(self) -> tuple[float, float]:
-        """Centre (m) of the bounding box along x and y."""
-        x0, x1, y0, y1 = self.extent
-        return ((x0 + x1) / 2.0, (y0 + y1) / 2.0)
-
-    @cached_property
-    def extent(self) -> tuple[float, float, float, float]:
-        """Minimum and maximum x, minimum and maximum y (m)."""
-        (x0, y0), (x1, y1) = self.points.min(axis=0).tolist(), self.points.max(axis=0).tolist()
-        return x0, x1, y0, y1
+    def centre(self) -> FloatArray:
+        """Centre (2,) m of the bounding box along x and y."""
+        centre: FloatArray = (self.points.min(axis=0) + self.points.max(axis=0)) / 2.0
+        return centre
 
     def grown(self, margin: float) -> "Footprint":
         """Return the footprint with its points moved outwards by ``margin`` (m); it may be negative."""
@@ -80,6 +74,6 @@ class Footprint:
 
     def is_inside(self, limits: Sequence[Sequence[float]], margin: float = 0.0) -> bool:
         """Return True if the footprint keeps a margin (m) to limits [[x low, x high], [y low, y high]]."""
-        x0, x1, y0, y1 = self.extent
-        (left, right), (near, far) = limits[:2]
-        return left <= x0 - margin and x1 + margin <= right and near <= y0 - margin and y1 + margin <= far
+        low, high = np.array(limits[:2]).T
+        is_above = (low <= self.points.min(axis=0) - margin).all()
+        return bool(is_above and (self.points.max(axis=0) + margin <= high).all())

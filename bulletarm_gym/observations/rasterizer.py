@@ -42,11 +42,6 @@ class Window(NamedTuple):
     extent: float
     size: int
 
-    @property
-    def square(self) -> tuple[float, float, float]:
-        """Centre x, centre y and side (m)."""
-        return float(self.centre[0]), float(self.centre[1]), float(self.extent)
-
 
 @compiled
 def _snap(value: float, steps: float) -> float:
@@ -163,7 +158,8 @@ def rectangle_mask(window: Window, rectangles: Sequence[Rectangle]) -> NDArray[n
     A rectangle without area, or with a number that is not finite, covers nothing.
     """
     rows = np.array(rectangles, dtype=np.float64).reshape(len(rectangles), len(Rectangle._fields))
-    mask: NDArray[np.bool_] = _draw_rectangles(rows, window.square, window.size) > 0.0
+    square = (*window.centre, window.extent)
+    mask: NDArray[np.bool_] = _draw_rectangles(rows, square, window.size) > 0.0
     return mask
 
 
@@ -223,5 +219,5 @@ class ZBuffer:
         """
         if not (window.extent > 0.0 and window.size > 0):
             raise ValueError(f"extent and size must be positive, got {window.extent} and {window.size}")
-        meshes = (self._vertices, self._faces, self._ranges)
-        return _draw_meshes(labels, *meshes, positions, rotations, visible, window.square, window.size)
+        meshes, square = (self._vertices, self._faces, self._ranges), (*window.centre, window.extent)
+        return _draw_meshes(labels, *meshes, positions, rotations, visible, square, window.size)
