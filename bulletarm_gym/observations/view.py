@@ -181,7 +181,7 @@ class HeightRenderer:
         positions, rotations = self._poses()
         if not any(optics.position + optics.rotation):
             return self.draw(positions, rotations, visible, window, labels)
-        rotation, (x, y, z) = optics.yaw_error, optics.position
+        rotation, (x, y, z) = matrix(Pose.planar(0.0, 0.0, 0.0, optics.rotation[2])), optics.position
         positions = (positions - (*window.centre, 0.0)) @ rotation.T
         shifted = window._replace(centre=(-x, -y))
         return self.draw(positions, rotation @ rotations, visible, shifted, labels) + np.float32(z)

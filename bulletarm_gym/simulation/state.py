@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from bulletarm_gym.geometry import FloatArray, Pose, Vector, matrix
+from bulletarm_gym.geometry import FloatArray, Pose, Vector
 from bulletarm_gym.simulation.shapes import BodySpec, Colour
 
 Twist = tuple[Vector, Vector]
@@ -62,11 +62,6 @@ class Optics:
         error[:3, :3] = Rotation.from_rotvec(self.rotation).as_matrix()
         error[:3, 3] = self.position
         return np.asarray(np.linalg.inv(error), np.float64)
-
-    @cached_property
-    def yaw_error(self) -> FloatArray:
-        """Rotation matrix (3, 3) about the vertical, which orthographic heightmaps show."""
-        return matrix(Pose.planar(0.0, 0.0, 0.0, self.rotation[2]))
 
 
 NOMINAL = Optics()
