@@ -5,6 +5,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import gymnasium
@@ -15,6 +16,7 @@ from bulletarm_gym.config import EnvConfig, ParameterError
 from bulletarm_gym.geometry import FloatArray, Pose, Vector
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.simulation import Camera, World
+from bulletarm_gym.simulation.camera import Keyboard, draw_segments, look
 
 RENDER = "render"
 """Name of the camera of ``render()``."""
@@ -141,12 +143,11 @@ def _beyond(value: float, limits: tuple[float, float]) -> float:
 
 
 class Viewer:
-    """Images and user input for playing, the latter from PyBullet's window."""
+    """Images and user input for playing."""
 
     def __init__(self, scene: Scene) -> None:
-        self._scene, self._client = scene, scene.world.client
+        self._scene = scene
         self._mark: list[int] = []
-        self._down: set[int] | None = None
 
     def close_up(self, pixels: int = PIXELS) -> NDArray[np.uint8]:
         """Return an image of the workspace from the front and above, (pixels, pixels, 3)."""
@@ -174,31 +175,20 @@ class Viewer:
 
     def face_workspace(self) -> None:
         """Show the workspace in the window, from the configured camera or from that of close-ups."""
-        scene, client = self._scene, self._client
+        scene = self._scene
         camera = render_camera(scene) if scene.config.render_camera else close_up_camera(scene, PIXELS)
-        distance = math.dist(camera.eye, camera.target)
-        across, along, up = (a - b for a, b in zip(camera.eye, camera.target, strict=True))
-        yaw, pitch = math.degrees(math.atan2(across, -along)), math.degrees(math.asin(up / distance))
-        client.configureDebugVisualizer(client.COV_ENABLE_GUI, 0)  # panels
-        client.resetDebugVisualizerCamera(distance, yaw, -pitch, camera.target)
+        look(scene.world, camera.eye, camera.target)
 
     def pressed_keys(self) -> list[str]:
-        """Return the characters of the keys that were pressed in the window since the last call.
-
-        PyBullet's own shortcuts are switched off.
-        """
-        mode, client = self._scene.config.render_mode, self._client
+        """Return the characters of the keys that were pressed in the window since the last call."""
+        mode = self._scene.config.render_mode
         if mode != "human":
             raise RuntimeError(f"render_mode must be 'human' for pressed_keys(), got {mode!r}")
-        if self._down is None:
-            client.configureDebugVisualizer(client.COV_ENABLE_KEYBOARD_SHORTCUTS, 0)
-        events, down = client.getKeyboardEvents(), self._down or set()
-        triggered = {key for key, event in events.items() if event & client.KEY_WAS_TRIGGERED}
-        released = {key for key, event in events.items() if event & client.KEY_WAS_RELEASED}
-        # A key that was pressed and released between two calls is only reported as released.
-        pressed = sorted(triggered | (released - down))
-        self._down = (down | set(events)) - released
-        return [chr(key) for key in pressed if chr(key).isascii() and chr(key).isprintable()]
+        return self._keyboard.pressed()
+
+    @cached_property
+    def _keyboard(self) -> Keyboard:
+        return Keyboard(self._scene.world)
 
     def mark(self, position: Vector, yaw: float = 0.0) -> None:
         """Draw a target position (m, world) and yaw (rad) of the fingertips in the window."""
@@ -208,8 +198,4 @@ class Viewer:
             (position, (x, y, z + 0.3)),
             ((x - right, y - ahead, z), (x + right, y + ahead, z)),
         ]
-        options = [{"replaceItemUniqueId": item} for item in self._mark] or [{}] * len(lines)
-        self._mark = [
-            self._client.addUserDebugLine(start, end, (1.0, 0.35, 0.2), 3.0, **option)  # orange
-            for (start, end), option in zip(lines, options, strict=True)
-        ]
+        self._mark = draw_segments(self._scene.world, lines, self._mark)

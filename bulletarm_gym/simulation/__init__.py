@@ -1,4 +1,4 @@
-"""The only package that imports PyBullet: bodies, motion, state and cameras of a physics world."""
+"""The only package that uses PyBullet: bodies, motion, state and cameras of a physics world."""
 
 from bulletarm_gym.simulation.camera import Camera as Camera
 from bulletarm_gym.simulation.client import has_display as has_display

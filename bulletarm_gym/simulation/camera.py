@@ -1,4 +1,4 @@
-"""Cameras that render without a display."""
+"""Cameras that render without a display, and the camera, keys and lines of PyBullet's window."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -138,3 +138,45 @@ class Camera:
         nearness = np.asarray(buffer, np.float64).reshape(shape)
         distances = self.far * self.near / (self.far - (self.far - self.near) * nearness)
         return colors, distances, np.asarray(shown).reshape(shape)
+
+
+def look(world: World, eye: Vector, target: Vector) -> None:
+    """Set the camera of the window to a position and a target (m), and hide the panels."""
+    client = world.client
+    across, along, up = (a - b for a, b in zip(eye, target, strict=True))
+    distance = math.dist(eye, target)
+    yaw, pitch = math.degrees(math.atan2(across, -along)), math.degrees(math.asin(up / distance))
+    client.configureDebugVisualizer(client.COV_ENABLE_GUI, 0)
+    client.resetDebugVisualizerCamera(distance, yaw, -pitch, target)
+
+
+class Keyboard:
+    """Keys of a window. PyBullet's own shortcuts are switched off.
+
+    For a key that was pressed and released between two calls, PyBullet reports the release only.
+    """
+
+    def __init__(self, world: World) -> None:
+        self._client = world.client
+        self._client.configureDebugVisualizer(self._client.COV_ENABLE_KEYBOARD_SHORTCUTS, 0)
+        self._down: set[int] = set()
+
+    def pressed(self) -> list[str]:
+        """Return the characters of the keys pressed since the last call; empty without a window."""
+        events = self._client.getKeyboardEvents()
+        triggered = {key for key, event in events.items() if event & self._client.KEY_WAS_TRIGGERED}
+        released = {key for key, event in events.items() if event & self._client.KEY_WAS_RELEASED}
+        pressed = sorted(triggered | (released - self._down))
+        self._down = (self._down | set(events)) - released
+        return [chr(key) for key in pressed if chr(key).isascii() and chr(key).isprintable()]
+
+
+def draw_segments(
+    world: World, segments: Sequence[tuple[Vector, Vector]], replaced: Sequence[int] = ()
+) -> list[int]:
+    """Draw orange lines between points (m, world) in place of earlier ones, and return their numbers."""
+    options = [{"replaceItemUniqueId": item} for item in replaced] or [{}] * len(segments)
+    return [
+        world.client.addUserDebugLine(start, end, (1.0, 0.35, 0.2), 3.0, **option)
+        for (start, end), option in zip(segments, options, strict=True)
+    ]
