@@ -16,8 +16,7 @@ from bulletarm_gym.control.close_loop import VIEW_SCALE, tool_frame
 from bulletarm_gym.control.open_loop import measure_grasp, pick_height, place_height, workspace_frame
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.geometry.poses import pose_check
-from bulletarm_gym.observations import MAX_HEIGHT, ElevationMap, Frame, Heights, Window
-from bulletarm_gym.observations.images import heightmap, projections, rotated_crop
+from bulletarm_gym.observations import ElevationMap, Frame, Heights, Window, images
 from bulletarm_gym.observations.rasterizer import project_points
 
 __all__ = [
@@ -89,9 +88,8 @@ def in_hand_image(
     :param tilts: whether actions have three r's and the image three channels
     :return: (1, size, size) or (3, size, size) m, within [0, 0.4]
     """
-    pick, show = check_argument("pick", pick, pose_check), projections if tilts else rotated_crop
-    above_floor = Pose((0.0, 0.0, -workspace[2][0])).compose(pick)
-    return show(elevation_map(heightmap, workspace), above_floor, size).clip(0.0, MAX_HEIGHT)
+    pick = check_argument("pick", pick, pose_check)
+    return images.in_hand_image(elevation_map(heightmap, workspace), pick, size, tilts)
 
 
 def elevation_map(heightmap: Heights, workspace: Limits = WORKSPACES[OPEN_LOOP]) -> ElevationMap:
@@ -115,4 +113,4 @@ def _heightmap(points: ArrayLike, frame: Frame, ceiling: float, size: int) -> He
             f"points must be world coordinates (m), some in the square of {frame.extent:g} m around "
             f"x = {x:g}, y = {y:g}, got {len(cloud)} outside"
         )
-    return heightmap(project_points(cloud, Window(frame.centre, frame.extent, size), ceiling), frame)
+    return images.heightmap(project_points(cloud, Window(frame.centre, frame.extent, size), ceiling), frame)

@@ -12,9 +12,9 @@ import numpy as np
 import bulletarm_gym
 from bulletarm_gym.config import EnvConfig, TaskDefaults
 from bulletarm_gym.geometry import Pose, planar_distance, wrap_angle
-from bulletarm_gym.objects import BodySpec, Box, Hinge, Piece
 from bulletarm_gym.scene import ObjectSlot, Scene
 from bulletarm_gym.scene.sampling import is_within, sample_until
+from bulletarm_gym.simulation import BodySpec, Box, Hinge, Piece
 from bulletarm_gym.tasks import CLOSED, Task, Waypoint
 
 LENGTH, THICKNESS, TOP = 0.14, 0.012, 0.07
@@ -35,7 +35,7 @@ def door(name: str) -> BodySpec:
     panel = Piece(Box((LENGTH, THICKNESS, TOP - 0.01)), Pose((LENGTH / 2, 0.0, TOP / 2)))
     axis, limits = (0.0, 0.0, 1.0), (0.0, LIMIT)
     hinge = Hinge("door", (panel,), mass=0.3, axis=axis, limits=limits, resistance=0.02)
-    return BodySpec(name, tuple(posts), mass=0.0, colour=(0.4, 0.4, 0.45, 1.0), hinges=(hinge,))
+    return BodySpec(name, tuple(posts), mass=0.0, colour=(0.4, 0.4, 0.45, 1.0), parts=(hinge,))
 
 
 class DoorOpening(Task):

@@ -7,11 +7,11 @@ from pathlib import Path
 import imageio.v3 as imageio
 
 from bulletarm_gym.geometry import Pose
-from bulletarm_gym.objects import BodySpec, create
+from bulletarm_gym.objects import create
 from bulletarm_gym.objects.blocks import SHAPES, improvise_blocks
 from bulletarm_gym.objects.containers import BOTTLES
 from bulletarm_gym.objects.graspables import graspables
-from bulletarm_gym.simulation import Camera, World
+from bulletarm_gym.simulation import BodySpec, Camera, World
 from bulletarm_gym.simulation.state import PHYSICS_MODES
 from bulletarm_gym.surfaces.surface import FLOOR
 

@@ -10,10 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 import bulletarm_gym
 from bulletarm_gym.control import CloseLoop, Outcome
-from bulletarm_gym.geometry import Pose, Vector, as_rotvec, conjugate, from_rotvec, multiply
+from bulletarm_gym.geometry import Pose, Vector
 from bulletarm_gym.observations import View
 from bulletarm_gym.tasks import Waypoint
 
@@ -61,14 +62,16 @@ class SixDof(CloseLoop):
         """Execute a move; beyond the largest tilt the gripper does not rotate."""
         tool = self.robot.pose
         position = self.within(np.add(tool.position, move.translation).tolist())
-        pose = Pose(position, multiply(from_rotvec(move.rotation), tool.orientation))
+        rotation = Rotation.from_rotvec(move.rotation) * Rotation.from_quat(tool.orientation)
+        pose = Pose(position, tuple(rotation.as_quat().tolist()))
         return self.go(pose if pose.tilt < TILT else Pose(position, tool.orientation), move.opening)
 
     def towards(self, waypoint: Waypoint) -> PoseMove:
         """Return the move of the expert towards a waypoint."""
         tool, goal, step = self.robot.pose, waypoint.pose, self.max_translation
         path = np.subtract(self.within(goal.position), tool.position)
-        rotation = np.array(as_rotvec(multiply(goal.orientation, conjugate(tool.orientation))))
+        start, end = map(Rotation.from_quat, (tool.orientation, goal.orientation))
+        rotation = (end * start.inv()).as_rotvec()
         excess = max(np.abs(path).max() / step, np.abs(rotation).max() / self.max_rotation, 1.0)
         path = path / excess if waypoint.straight else path.clip(-step, step)
         arrives = excess < 1.001 and waypoint.finish is not None

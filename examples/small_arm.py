@@ -40,7 +40,7 @@ def bare_arm() -> Element:
     for name, origin, axis, limit, mass, size in SEGMENTS:
         add_link(root, name, mass, [box(size, (0.0, 0.0, size[2] / 2.0), LIGHT)])
         links, limits = (parent, name), (-limit, limit)
-        add_joint(root, "revolute", f"{name}_joint", links, origin, axis, limits, TORQUE, velocity=5.0)
+        add_joint(root, "revolute", f"{name}_joint", links, origin, axis, limits)
         parent = name
     return root
 

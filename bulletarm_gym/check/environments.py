@@ -1,7 +1,6 @@
 """Checks that environments work on this machine and how fast they are."""
 
 import os
-import sys
 import time
 import timeit
 from collections.abc import Iterator
@@ -11,21 +10,18 @@ from typing import Any
 
 import gymnasium
 import pybullet_data
-from numba.core.registry import CPUDispatcher
 
 import bulletarm_gym  # noqa: F401 (registers the environments)
 from bulletarm_gym.check.machine import Finding, describe_machine, load_average, versions
+from bulletarm_gym.geometry.compilation import MONITOR
 from bulletarm_gym.registry import ROBOTS
 from bulletarm_gym.simulation import has_display
 from bulletarm_gym.simulation.client import Client
 
 
-def measure_yardstick(steps: int = 2000) -> float:
-    """Return the duration (microseconds) of a simulation step with a KUKA arm and four resting cubes.
-
-    :param steps: number of simulation steps in each of five measurements, of which the median is returned
-    """
-    client = Client()
+def measure_yardstick() -> float:
+    """Return the duration (microseconds) of a simulation step with a KUKA arm and four resting cubes."""
+    client, steps = Client(), 2000
     try:
         client.setAdditionalSearchPath(pybullet_data.getDataPath())
         client.setGravity(0, 0, -10)
@@ -94,9 +90,7 @@ def play_episode(env: gymnasium.Env[Any, Any], seed: int) -> tuple[int, float, b
 
 def compiled_code() -> Finding:
     """Check where the compiled functions that this process has called are cached."""
-    modules = [module for name, module in sys.modules.items() if name.startswith("bulletarm_gym.")]
-    members = {id(value): value for module in modules for value in vars(module).values()}
-    statistics = [value.stats for value in members.values() if isinstance(value, CPUDispatcher)]
+    statistics = [function.stats for function in MONITOR.functions]
     folders = sorted({stats.cache_path for stats in statistics if stats.cache_path})
     if not folders:
         advice = "set NUMBA_CACHE_DIR to a writable folder, or every process compiles again"

@@ -55,7 +55,7 @@ def grid(limits: Limits, heights: Sequence[float], points: int, tilt: float = 0.
 
 def largest_workspace(model: RobotModel) -> Limits | None:
     """Return the limits (m) of the largest workspace in front of the base in reach of the upright gripper."""
-    length = float(np.linalg.norm(model.chain.translations[1:], axis=1).sum())
+    length = float(np.linalg.norm(model.chain.frames[1][1:], axis=1).sum())
     x, y, _ = model.base.position
     for top, side in itertools.product(TOPS, SIDES):
         for near in np.arange(x + GRID_STEP, x + length - side, GRID_STEP).round(3).tolist():

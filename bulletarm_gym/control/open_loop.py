@@ -275,10 +275,7 @@ class OpenLoop(Control[PickPlace]):
         return Outcome(ignored=False, pick=move.pose if picks else None, closed_at=closed_at)
 
     def _stops(self, pose: Pose) -> list[Pose]:
-        """Return the poses behind a target at which the gripper stops, the nearest first.
-
-        The list is empty if the target is out of reach.
-        """
+        """Return the poses behind a target at which the gripper stops, nearest first; none out of reach."""
         for distances in MOTION.stops if self.robot.reaches(pose) else ():
             stops = [pose.compose(Pose((0.0, 0.0, distance))) for distance in distances]
             if all(map(self.robot.reaches, stops)):
@@ -294,12 +291,9 @@ class OpenLoop(Control[PickPlace]):
         return move.pose.compose(HALF_TURN) if is_far else move.pose
 
     def _retreat(self, stops: Sequence[Pose]) -> None:
-        """Move back to the first stop at which the gripper touches nothing, or to the last.
-
-        A gripper that did not arrive at its target may be behind a stop already.
-        """
+        """Move back to the first stop at which the gripper touches nothing, or to the last."""
         for stop in stops:
-            if self.robot.pose.inverse().compose(stop).z > 0.0:
+            if self.robot.pose.inverse().compose(stop).z > 0.0:  # not behind the stop already
                 self.robot.move_to(stop, in_contact=False)
             if self.robot.is_apart():
                 return

@@ -114,11 +114,8 @@ def grasp(
 
 
 def _is_aligned(goal: Pose, tool: Pose, rotation: float, near: float) -> bool:
-    """Return True if the fingers can move straight to a goal from within a horizontal distance (m).
-
-    Within 1 cm above the goal the distance may be larger, because contacts push the fingers.
-    """
-    near = ALIGNED if tool.z < goal.z + 0.01 else near
+    """Return True if the fingers can move straight to a goal from within a horizontal distance (m)."""
+    near = ALIGNED if tool.z < goal.z + 0.01 else near  # contacts push the fingers
     apart = planar_distance(goal.position, tool.position)
     return apart <= near and abs(rotation) <= ALIGNED_YAW * near / ALIGNED
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from bulletarm_gym.geometry import FloatArray, IntArray
 from bulletarm_gym.geometry.compilation import compiled
-from bulletarm_gym.observations import HeightRenderer, Window
+from bulletarm_gym.observations import ElevationMap, HeightRenderer, Window
 from bulletarm_gym.robots.gripper import Gripper
 from bulletarm_gym.scene import Scene
 
@@ -39,48 +39,41 @@ GripFrame = tuple[float, float, float, float]
 """Row and column (pixels) of a gripper's centre, cosine and sine of its yaw."""
 
 
-@dataclass(frozen=True)
-class ElevationMap:
-    """Heights in a square of the scene, with one layer per object.
+@dataclass(frozen=True, kw_only=True)
+class ClutterMap(ElevationMap):
+    """Heights of a scene, and which of its objects they belong to.
 
-    :param layers: (n, size, size) heights (m) of each object, 0 elsewhere
-    :param ground: (size, size) heights (m) of everything else
-    :param centre: world x and y of the centre (m)
-    :param extent: side of the square (m)
+    :param objects: (n, n) heights (m) of the objects alone, 0 elsewhere
+    :param owner: (n, n) number of the highest object, -1 where something else is higher
     """
 
-    layers: Image
-    ground: Image
-    centre: tuple[float, float]
-    extent: float
+    objects: Image
+    owner: IntArray
 
     @classmethod
-    def of(cls, scene: Scene) -> "ElevationMap":
-        """Return the elevation map of the workspace and a strip around it."""
+    def of(cls, scene: Scene) -> "ClutterMap":
+        """Return the map of the workspace and a strip around it."""
         centre, extent = scene.config.centre, scene.config.workspace_size + 2.0 * SURROUNDINGS
-        size = round(extent / PITCH)
-        bodies = [obj.body for obj in scene]
-        renderer, window = HeightRenderer.of(scene), Window(centre, extent, size)
-        layers = [renderer.heights_of([body], window) for body in bodies]
-        others = [body for body in scene.world.obstacles if body not in bodies]
-        return cls(np.stack(layers), renderer.heights_of(others, window), centre, extent)
-
-    @property
-    def pitch(self) -> float:
-        """Side of a pixel (m)."""
-        return self.extent / len(self.ground)
+        renderer, window = HeightRenderer.of(scene), Window(centre, extent, round(extent / PITCH))
+        labels, bodies = np.zeros((window.size, window.size), np.int16), [obj.body for obj in scene]
+        objects = renderer.heights_of(bodies, window, labels)
+        ground = renderer.heights_of([b for b in scene.world.obstacles if b not in bodies], window)
+        number_of = {body.index: number for number, body in enumerate(bodies)}
+        numbers = np.array([0, *(number_of.get(body.index, 0) for body in renderer.bodies)], np.int32)
+        owner = np.where(objects >= ground, numbers[labels], -1).astype(np.int32)
+        return cls(np.maximum(objects, ground), centre, extent, objects=objects, owner=owner)
 
     def top_between(self, first: Sequence[float], second: Sequence[float], reach: float) -> float:
         """Return the largest height (m) of an object in the box of two points, extended by ``reach`` (m)."""
         box = np.sort([first[:2], second[:2]], axis=0)
         box += np.array([[-reach], [reach]])
-        corners = (box - self.centre + self.extent / 2.0) / self.pitch
-        (row, column), (last_row, last_column) = corners.astype(int).clip(0, len(self.ground) - 1)
-        return float(self.layers[:, row : last_row + 1, column : last_column + 1].max())
+        corners = (box - self.centre + self.extent / 2.0) / self.resolution
+        (row, column), (last_row, last_column) = corners.astype(int).clip(0, len(self.objects) - 1)
+        return float(self.objects[row : last_row + 1, column : last_column + 1].max())
 
 
 def find_grasps(
-    elevation: ElevationMap,
+    clutter: ClutterMap,
     gripper: Gripper,
     yaws: Sequence[float],
     lowest: float,
@@ -93,14 +86,13 @@ def find_grasps(
     :param depths: depths (m) of the fingertips below the highest point between the fingers
     :return: (n, 5) x, y, z (m) and yaw (rad) of the fingertips, and quality, up to 0.35
     """
-    objects = elevation.layers.max(axis=0)
-    owner = np.where(objects >= elevation.ground, elevation.layers.argmax(axis=0), -1).astype(np.int32)
     lengths = [gripper.stroke / 2.0, gripper.finger[0], gripper.finger[1] / 2.0, DESCENT_CLEARANCE]
-    size = np.array(lengths) / elevation.pitch
-    heights = np.maximum(objects, elevation.ground)
-    found: FloatArray = _search(heights, owner, size, np.array(yaws), np.array(depths), lowest)
-    middle = (objects.shape[0] - 1) / 2.0
-    found[:, :2] = (found[:, :2] - middle) * elevation.pitch + elevation.centre
+    size = np.array(lengths) / clutter.resolution
+    found: FloatArray = _search(
+        clutter.heights, clutter.owner, size, np.array(yaws), np.array(depths), lowest
+    )
+    middle = (len(clutter.heights) - 1) / 2.0
+    found[:, :2] = (found[:, :2] - middle) * clutter.resolution + clutter.centre
     return found
 
 
@@ -108,21 +100,16 @@ def find_grasps(
 def _search(
     heights: Image, owner: IntArray, size: FloatArray, yaws: FloatArray, depths: FloatArray, lowest: float
 ) -> FloatArray:
-    """Return the grasps at every SPACING-th pixel of every object, x and y in pixels.
-
-    :param size: half stroke, thickness and half width of a finger, clearance (pixels)
-    """
+    """Return the grasps at every SPACING-th pixel of every object; x, y and ``size`` are in pixels."""
     rows = [(0.0, 0.0, 0.0, 0.0, 0.0)]
     between = np.empty((2 * (int(size[2]) + 1) + 1, 2 * int(size[0]) + 1), np.float32)
-    whose = np.empty(between.shape, np.int32)
     for i in range(SPACING // 2, heights.shape[0], SPACING):
         for j in range(SPACING // 2, heights.shape[1], SPACING):
             if owner[i, j] < 0:
                 continue
             for yaw in yaws:
                 frame = (float(i), float(j), math.cos(yaw), math.sin(yaw))
-                _gather(heights, owner, frame, between, whose)
-                top, others = _tops(between, whose, owner[i, j], lowest + OVERLAP)
+                top, others = _gather(heights, owner, frame, owner[i, j], lowest + OVERLAP, between)
                 for depth in depths:
                     tip = max(lowest, top - depth)
                     if others > tip + OVERLAP:
@@ -134,14 +121,17 @@ def _search(
 
 
 @compiled
-def _gather(heights: Image, owner: IntArray, frame: GripFrame, between: Image, whose: IntArray) -> None:
-    """Write heights (m) and owners between the open fingers, outside the map 0 and -1.
+def _gather(
+    heights: Image, owner: IntArray, frame: GripFrame, target: int, least: float, between: Image
+) -> tuple[float, float]:
+    """Write the heights (m) between the open fingers, 0 outside the map, into lines along the opening.
 
-    :param between: (lines, columns), across and along the opening
+    :return: largest heights (m) of a target and of everything else, at least ``least``
     """
     lines, reach = between.shape[0] // 2, between.shape[1] // 2
     margin, far = lines + reach + 1, min(heights.shape) - 1
     inside = margin <= min(frame[0], frame[1]) and max(frame[0], frame[1]) <= far - margin
+    top, others = least, least
     for line in range(between.shape[0]):
         across = line - lines
         down, right = across * frame[3], across * frame[2]
@@ -149,24 +139,14 @@ def _gather(heights: Image, owner: IntArray, frame: GripFrame, between: Image, w
             along = place - reach
             row = int(np.rint(frame[0] + along * frame[2] - down))
             column = int(np.rint(frame[1] + along * frame[3] + right))
+            height, whose = 0.0, -1
             if inside or (0 <= row < heights.shape[0] and 0 <= column < heights.shape[1]):
-                between[line, place], whose[line, place] = heights[row, column], owner[row, column]
-            else:
-                between[line, place], whose[line, place] = 0.0, -1
-
-
-@compiled
-def _tops(between: Image, whose: IntArray, target: int, least: float) -> tuple[float, float]:
-    """Return the largest heights (m) of a target and of everything else, at least ``least``."""
-    top, others = least, least
-    for line in range(between.shape[0]):
-        for place in range(between.shape[1]):
-            height = between[line, place]
-            if height > least:
-                if whose[line, place] == target:
-                    top = max(top, height)
-                else:
-                    others = max(others, height)
+                height, whose = heights[row, column], owner[row, column]
+            between[line, place] = height
+            if height > least and whose == target:
+                top = max(top, height)
+            elif height > least:
+                others = max(others, height)
     return top, others
 
 

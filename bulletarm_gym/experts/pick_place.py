@@ -101,8 +101,6 @@ def _grip_point(obj: SceneObject) -> Vector:
 def _grip_cost(low: FloatArray, high: FloatArray, y: float, pad: float) -> tuple[float, float, float]:
     """Return the cost (m) of a grasp at y, and x and y (m) of the middle between the fingers.
 
-    The cost is the misalignment of the touched sides plus half the distance from the object's centre.
-
     :param low: smallest x and y of each piece, (n, 2) m; ``high``: the largest ones
     """
     start, stop = np.maximum(low[:, 1], y - pad / 2.0), np.minimum(high[:, 1], y + pad / 2.0)
@@ -113,6 +111,7 @@ def _grip_cost(low: FloatArray, high: FloatArray, y: float, pad: float) -> tuple
     touched = [between & (low[:, 0] < left + 1e-3), between & (high[:, 0] > right - 1e-3)]
     lengths = [float((stop - start)[pieces].sum()) for pieces in touched]
     middles = [float(((start + stop) / 2.0)[pieces].mean()) for pieces in touched]
+    # Misalignment of the touched sides, plus half the distance from the object's centre.
     cost = abs(middles[0] - middles[1]) + 0.5 * abs(y) - min(lengths)
     return cost, (left + right) / 2.0, y
 
@@ -151,14 +150,12 @@ def pick(scene: Scene, obj: SceneObject, rng: np.random.Generator) -> Waypoint:
 
 
 def _leaning(scene: Scene, obj: SceneObject, yaws: Sequence[float]) -> list[Pose]:
-    """Return grasps that avoid collisions of a wide palm by tilts and offsets, the least tilted first.
-
-    In closed loop yaws are also skewed: the block rotates as the fingers close.
-    """
+    """Return grasps that avoid collisions of a wide palm by tilts and offsets, the least tilted first."""
     width, length, height = resting_box(obj).sides
     tilts = (0.0, -0.15, 0.15, -0.3, 0.3, -0.45, 0.45)
     leans = tilts if scene.config.action_sequence.count("r") == 3 else (0.0,)
     pairs = sorted(itertools.product(leans, leans), key=lambda pair: math.hypot(*pair))
+    # The block rotates as the fingers close.
     skews = (0.0, 0.5, -0.5) if scene.config.control == CLOSE_LOOP else (0.0,)
     offsets = (0.0, -0.25, 0.25) if is_box(obj) or length > 2.0 * width else (0.0,)
     frame = resting_frame(obj)

@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
 import numba
-from numba import float64, njit
+from numba import njit
 from numba.core import event
-from numba.extending import intrinsic
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -28,12 +27,13 @@ class CompileMonitor(event.Listener):
 
     def __init__(self) -> None:
         self.count = 0
-        self.functions: set[Any] = set()
+        self.functions: list[Any] = []
+        """Functions of :func:`compiled`."""
 
     def on_start(self, event: Any) -> None:
         """Count a function that is about to be compiled."""
         function = event.data["dispatcher"]
-        if function.py_func not in self.functions:
+        if function not in self.functions:
             return
         if not self.count:
             folder = function.stats.cache_path
@@ -55,7 +55,6 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
 
     If Numba finds no writable cache folder, the cache is in the folder of temporary files.
     """
-    MONITOR.functions.add(function)
     try:
         return _cached(function)
     except RuntimeError:  # neither the package's folder nor the user's cache folder is writable
@@ -67,6 +66,7 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
 
 def _cached(function: Callable[P, R]) -> Callable[P, R]:
     found: Callable[P, R] = njit(cache=True, error_model="numpy")(function)
+    MONITOR.functions.append(found)
     return found
 
 
@@ -78,16 +78,6 @@ def _temporary_folder() -> Path:
     status = folder.lstat()
     private = not folder.is_symlink() and not status.st_mode & 0o077 and status.st_uid == user
     return folder if private or os.name == "nt" else Path(tempfile.mkdtemp(prefix="bulletarm-gym-"))
-
-
-def _emit_fma(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
-    return float64(float64, float64, float64), lambda context, builder, signature, arguments: builder.fma(
-        *arguments
-    )
-
-
-fma: Callable[[float, float, float], float] = intrinsic(_emit_fma)  # type: ignore[assignment]
-"""``a * b + c`` with one rounding, in compiled code, as in NumPy's matrix product."""
 
 
 SENSORS = ["heightmap", "color", "segmentation", "holding"]

@@ -6,8 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from bulletarm_gym.geometry.compilation import compiled, fma
-from bulletarm_gym.geometry.poses import FloatArray, Pose, Quaternion
+from bulletarm_gym.geometry.poses import FloatArray, Pose, matrix
 
 DIRECTIONS = 32
 """Number of evenly spaced directions, from x, in which footprints are compared."""
@@ -35,7 +34,7 @@ class Footprint:
 
         :param vertices: (n, 3) vertices in the body's frame (m)
         """
-        return cls(_shadow(vertices, pose.x, pose.y, pose.orientation))
+        return cls(vertices @ matrix(pose)[:2].T + pose.position[:2])
 
     @classmethod
     def rectangle(cls, size: Sequence[float], pose: Pose) -> "Footprint":
@@ -44,15 +43,10 @@ class Footprint:
         return cls.of(np.array(((-x, -y, 0.0), (x, -y, 0.0), (x, y, 0.0), (-x, y, 0.0))), pose)
 
     @property
-    def centre(self) -> tuple[float, float]:
-        """Centre (m) of the bounding box along x and y."""
-        x0, x1, y0, y1 = self.extent
-        return ((x0 + x1) / 2.0, (y0 + y1) / 2.0)
-
-    @cached_property
-    def extent(self) -> tuple[float, float, float, float]:
-        """Minimum and maximum x, minimum and maximum y (m)."""
-        return _extent(self.points)
+    def centre(self) -> FloatArray:
+        """Centre (2,) m of the bounding box along x and y."""
+        centre: FloatArray = (self.points.min(axis=0) + self.points.max(axis=0)) / 2.0
+        return centre
 
     def grown(self, margin: float) -> "Footprint":
         """Return the footprint with its points moved outwards by ``margin`` (m); it may be negative."""
@@ -62,8 +56,9 @@ class Footprint:
 
     @cached_property
     def reach(self) -> FloatArray:
-        """Extent (m) from the world's origin in each direction, (:data:`DIRECTIONS`,)."""
-        return _reach(self.points, _COMPASS)
+        """Extent (m) from the world's origin in :data:`DIRECTIONS` directions, -inf without points."""
+        reach: FloatArray = (self.points @ _COMPASS).max(axis=0, initial=-np.inf)
+        return reach
 
     @property
     def width(self) -> float:
@@ -75,53 +70,10 @@ class Footprint:
 
     def gap(self, other: "Footprint") -> float:
         """Return a lower bound of the distance (m) to a footprint, negative where they may overlap."""
-        return _gap(self.reach, other.reach)
+        return -float((self.reach + other.reach[_OPPOSITE]).min())
 
     def is_inside(self, limits: Sequence[Sequence[float]], margin: float = 0.0) -> bool:
         """Return True if the footprint keeps a margin (m) to limits [[x low, x high], [y low, y high]]."""
-        x0, x1, y0, y1 = self.extent
-        (left, right), (near, far) = limits[:2]
-        return left <= x0 - margin and x1 + margin <= right and near <= y0 - margin and y1 + margin <= far
-
-
-# Hundreds of footprints of a few points are compared to find one free place. NumPy takes ten times as long.
-# fma() gives the same last digits as NumPy's matrix product.
-
-
-@compiled
-def _shadow(vertices: FloatArray, x: float, y: float, orientation: Quaternion) -> FloatArray:
-    """Return the world x and y of points (n, 3) at a pose."""
-    qx, qy, qz, qw = orientation
-    xx, xy, xz = 1 - 2 * (qy * qy + qz * qz), 2 * (qx * qy - qz * qw), 2 * (qx * qz + qy * qw)
-    yx, yy, yz = 2 * (qx * qy + qz * qw), 1 - 2 * (qx * qx + qz * qz), 2 * (qy * qz - qx * qw)
-    points = np.empty((len(vertices), 2))
-    for row in range(len(vertices)):
-        a, b, c = vertices[row, 0], vertices[row, 1], vertices[row, 2]
-        points[row, 0] = fma(c, xz, fma(b, xy, a * xx)) + x
-        points[row, 1] = fma(c, yz, fma(b, yy, a * yx)) + y
-    return points
-
-
-@compiled
-def _extent(points: FloatArray) -> tuple[float, float, float, float]:
-    return points[:, 0].min(), points[:, 0].max(), points[:, 1].min(), points[:, 1].max()
-
-
-@compiled
-def _reach(points: FloatArray, compass: FloatArray) -> FloatArray:
-    reach = np.full(compass.shape[1], -np.inf)
-    for row in range(len(points)):
-        for direction in range(len(reach)):
-            far = fma(points[row, 1], compass[1, direction], points[row, 0] * compass[0, direction])
-            reach[direction] = max(reach[direction], far)
-    return reach
-
-
-@compiled
-def _gap(reach: FloatArray, other: FloatArray) -> float:
-    half = len(reach) // 2
-    least = np.inf
-    for direction in range(half):
-        least = min(least, reach[direction] + other[direction + half])
-        least = min(least, reach[direction + half] + other[direction])
-    return -least
+        low, high = np.array(limits[:2]).T
+        is_above = (low <= self.points.min(axis=0) - margin).all()
+        return bool(is_above and (self.points.max(axis=0) + margin <= high).all())

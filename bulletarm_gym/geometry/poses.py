@@ -113,22 +113,6 @@ def yaw_quaternion(yaw: float) -> Quaternion:
     return (0.0, 0.0, math.sin(yaw / 2.0), math.cos(yaw / 2.0))
 
 
-def from_rotvec(vector: Sequence[float]) -> Quaternion:
-    """Return the quaternion of a rotation vector (rad): its direction is the axis, its length the angle."""
-    x, y, z = vector
-    angle = math.hypot(x, y, z)
-    part = math.sin(angle / 2.0) / angle if angle > 0.0 else 0.5
-    return (part * x, part * y, part * z, math.cos(angle / 2.0))
-
-
-def as_rotvec(q: Quaternion) -> Vector:
-    """Return the rotation vector (rad) of a quaternion, at most pi long."""
-    x, y, z, w = q if q[3] >= 0.0 else (-q[0], -q[1], -q[2], -q[3])
-    sine = math.hypot(x, y, z)
-    part = 2.0 * math.atan2(sine, w) / sine if sine > 0.0 else 2.0
-    return (part * x, part * y, part * z)
-
-
 def euler_pose(position: Vector, angles: Vector) -> Pose:
     """Return a pose from fixed-axis x-y-z angles (rad): roll, pitch and yaw in URDF and Bullet."""
     roll, pitch, yaw = (angle / 2.0 for angle in angles)

@@ -252,7 +252,7 @@ def drawer(name: str) -> BodySpec:
         resistance=1.0,
         colour=(0.45, 0.46, 0.50, 1.0),
     )
-    return BodySpec(name, _cabinet(), 0.0, colour=GREY, slides=(slide,))
+    return BodySpec(name, _cabinet(), 0.0, colour=GREY, parts=(slide,))
 
 
 def _cabinet() -> tuple[Piece, ...]:

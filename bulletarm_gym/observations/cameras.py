@@ -24,6 +24,8 @@ OVERVIEW = ((0.95, -0.95, 0.95), (-0.18, 0.0, 0.33))
 """Position and target (m) of the camera of ``render()``, relative to the centre of a default workspace."""
 PIXELS = 240
 """Default pixels a side of close-ups."""
+FILM_STEPS = 48
+"""Number of simulation steps (0.2 s) between two images of a film."""
 MARK_REACH = 0.04
 """Distance (m) from a mark to the ends of its horizontal line."""
 SIZES = (0.3, 0.4)
@@ -152,18 +154,15 @@ class Viewer:
         return close_up_camera(self._scene, pixels).color(self._scene.world)
 
     @contextmanager
-    def film(self, render: Callable[[], Any], every: int = 48) -> Iterator[list[Any]]:
-        """Collect images of the simulation inside the context, in the growing list that it yields.
-
-        :param every: number of simulation steps between two images; by default 0.2 s
-        """
+    def film(self, render: Callable[[], Any]) -> Iterator[list[Any]]:
+        """Collect images of the simulation inside the context, in the growing list that it yields."""
         images: list[Any] = []
         count = itertools.count(1)
 
         def filmed(step: Callable[..., Any]) -> Callable[..., Any]:
             def step_and_render() -> None:
                 step()
-                if next(count) % every == 0:
+                if next(count) % FILM_STEPS == 0:
                     images.append(render())
 
             return step_and_render

@@ -46,11 +46,7 @@ def _random_bits(seed: np.uint64, number: int) -> np.uint64:
 
 @compiled
 def _measure(depths: Depths, seed: int, camera: int, errors: Depths) -> Depths:
-    """Return measured depths (m).
-
-    :param camera: number of the camera
-    :param errors: values of :data:`ERRORS`
-    """
+    """Return measured depths (m) for the number of a camera and the values of :data:`ERRORS`."""
     rows, columns = depths.shape
     key = _random_bits(np.uint64(seed), camera)
     noise, step, missing, edges = errors[0], errors[1], errors[2] * 65536, errors[3] * 65536

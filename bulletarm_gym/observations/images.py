@@ -141,13 +141,14 @@ class InHand(Sensor):
 
     def follow(self, before: View, pick: Pose | None) -> None:
         """Store the image of a pick, or delete it."""
-        self.memory = None if pick is None else self._image(before, pick).tobytes()
-
-    def _image(self, before: View, pick: Pose) -> Heights:
         channels, size, _ = self._shape
-        image = projections if channels == 3 else rotated_crop
-        above_floor = Pose((0.0, 0.0, -before.frame.origin.z)).compose(pick)
-        return image(before.elevation_map, above_floor, size).clip(0.0, MAX_HEIGHT)
+        self.memory = pick and in_hand_image(before.elevation_map, pick, size, channels == 3).tobytes()
+
+
+def in_hand_image(view: ElevationMap, pick: Pose, size: int, tilts: bool) -> Heights:
+    """Return the image of an elevation map around a pick (world), with three channels if actions tilt."""
+    image, above_floor = projections if tilts else rotated_crop, Pose((0.0, 0.0, -view.floor)).compose(pick)
+    return image(view, above_floor, size).clip(0.0, MAX_HEIGHT)
 
 
 def rotated_crop(view: ElevationMap, tcp_pose: Pose, size: int) -> Heights:

@@ -42,11 +42,6 @@ class Window(NamedTuple):
     extent: float
     size: int
 
-    @property
-    def square(self) -> tuple[float, float, float]:
-        """Centre x, centre y and side (m)."""
-        return float(self.centre[0]), float(self.centre[1]), float(self.extent)
-
 
 @compiled
 def _snap(value: float, steps: float) -> float:
@@ -73,10 +68,7 @@ def _draw_triangle(
     ib: int,
     ic: int,
 ) -> None:
-    """Raise the pixels whose centre a triangle of corners (u, v, height) covers, if it faces up.
-
-    Raised pixels are labelled if ``labels`` is an array. Otherwise the compiler omits that branch.
-    """
+    """Raise and label the pixels whose centre a triangle of corners (u, v, height) covers, if it faces up."""
     au, av, ah = corners[ia, 0], corners[ia, 1], corners[ia, 2]
     bu, bv, bh = corners[ib, 0] - au, corners[ib, 1] - av, corners[ib, 2] - ah
     cu, cv, ch = corners[ic, 0] - au, corners[ic, 1] - av, corners[ic, 2] - ah
@@ -97,7 +89,7 @@ def _draw_triangle(
             inside = (weight_b >= 0.0) & (weight_c >= 0.0) & (weight_b + weight_c <= area)
             # Summed in this order the height does not depend on which of the axes is u.
             height = np.float32(ah + (slope_u * u + slope_v * v))
-            if labels is not None:
+            if labels is not None:  # the compiler omits this branch if it is None
                 marks = labels[row, left:right]
                 marks[column] = np.int16(label) if inside & (height > line[column]) else marks[column]
             line[column] = height if inside & (height > line[column]) else line[column]
@@ -115,12 +107,7 @@ def _draw_meshes(
     square: tuple[float, float, float],
     size: int,
 ) -> NDArray[np.float32]:
-    """Draw n posed meshes into a new heightmap, see :class:`ZBuffer`.
-
-    :param vertices: (V, 3) vertices of all meshes in their own frames (m)
-    :param faces: (F, 3) vertex indices, from the first vertex of the mesh on
-    :param ranges: (n, 4) first vertex, first face, end of vertices and end of faces of each mesh
-    """
+    """Draw n posed meshes into a new heightmap, see :class:`ZBuffer`."""
     image = np.zeros((size, size), np.float32)
     corners = np.empty_like(vertices)
     for index in range(len(visible)):
@@ -171,7 +158,8 @@ def rectangle_mask(window: Window, rectangles: Sequence[Rectangle]) -> NDArray[n
     A rectangle without area, or with a number that is not finite, covers nothing.
     """
     rows = np.array(rectangles, dtype=np.float64).reshape(len(rectangles), len(Rectangle._fields))
-    mask: NDArray[np.bool_] = _draw_rectangles(rows, window.square, window.size) > 0.0
+    square = (*window.centre, window.extent)
+    mask: NDArray[np.bool_] = _draw_rectangles(rows, square, window.size) > 0.0
     return mask
 
 
@@ -205,6 +193,7 @@ class ZBuffer:
     def __init__(self, meshes: Sequence[Mesh]) -> None:
         ends = np.cumsum([(len(mesh.vertices), len(mesh.faces)) for mesh in meshes] or [(0, 0)], axis=0)
         starts = ends - np.diff(ends, axis=0, prepend=0)
+        # First vertex, first face, end of vertices and end of faces of each mesh, (n, 4).
         self._ranges = np.hstack([starts, ends]).astype(np.int64)
         self._vertices = np.concatenate([np.empty((0, 3)), *(mesh.vertices for mesh in meshes)])
         self._faces = np.concatenate([np.empty((0, 3), np.int32), *(mesh.faces for mesh in meshes)])
@@ -230,5 +219,5 @@ class ZBuffer:
         """
         if not (window.extent > 0.0 and window.size > 0):
             raise ValueError(f"extent and size must be positive, got {window.extent} and {window.size}")
-        meshes = (self._vertices, self._faces, self._ranges)
-        return _draw_meshes(labels, *meshes, positions, rotations, visible, window.square, window.size)
+        meshes, square = (self._vertices, self._faces, self._ranges), (*window.centre, window.extent)
+        return _draw_meshes(labels, *meshes, positions, rotations, visible, square, window.size)

@@ -110,7 +110,6 @@ class HeightRenderer:
         self._marks = np.array([body.spec.is_mark for body in self.bodies], np.bool_)
         rows = np.searchsorted(self._owners, [body.index for body in visible]).tolist()
         self._first_rows = list(zip(visible, rows, strict=True))
-        self._posed: list[Pose | None] = [None] * len(visible)
         self._positions = np.zeros((len(self.bodies), 3))
         self._rotations = np.zeros((len(self.bodies), 3, 3))
 
@@ -134,11 +133,16 @@ class HeightRenderer:
         cloud = np.concatenate([camera.points(self._world, [self._arm], measure) for camera in cameras])
         return project_points(cloud, window, self._config.workspace[2][1])
 
-    def heights_of(self, bodies: Sequence[Body], window: Window) -> NDArray[np.float32]:
-        """Return orthographic heights as :meth:`heights` of some bodies alone, 0 where there is none."""
+    def heights_of(
+        self, bodies: Sequence[Body], window: Window, labels: Labels | None = None
+    ) -> NDArray[np.float32]:
+        """Return orthographic heights as :meth:`heights` of some bodies alone, 0 where there is none.
+
+        :param labels: (size, size), in which the values of :meth:`labels` are set where such a body is
+        """
         wanted = np.zeros(len(self._world.bodies), np.bool_)
         wanted[[body.index for body in bodies]] = True
-        return self._draw(self._present() & wanted[self._owners], window)
+        return self._draw(self._present() & wanted[self._owners], window, labels)
 
     def labels(self, window: Window, without: Body | None = None) -> Labels:
         """Return 1 + the index in :attr:`bodies` of the highest mesh of each pixel, (size, size).
@@ -177,18 +181,15 @@ class HeightRenderer:
         positions, rotations = self._poses()
         if not any(optics.position + optics.rotation):
             return self.draw(positions, rotations, visible, window, labels)
-        rotation, (x, y, z) = optics.yaw_error, optics.position
+        rotation, (x, y, z) = matrix(Pose.planar(0.0, 0.0, 0.0, optics.rotation[2])), optics.position
         positions = (positions - (*window.centre, 0.0)) @ rotation.T
         shifted = window._replace(centre=(-x, -y))
         return self.draw(positions, rotation @ rotations, visible, shifted, labels) + np.float32(z)
 
     def _poses(self) -> tuple[FloatArray, FloatArray]:
-        """Return positions (n, 3) and rotations (n, 3, 3) of the meshes; poses that are the same are kept."""
-        for number, (body, row) in enumerate(self._first_rows):
-            pose = self._world.poses[body.index]
-            if pose is self._posed[number] and not body.joints:
-                continue
-            self._posed[number] = pose
+        """Return positions (n, 3) and rotations (n, 3, 3) of the meshes in the scene."""
+        present = (pair for pair in self._first_rows if self._world.active[pair[0].index])
+        for body, row in present:
             for index, part in enumerate(self._world.part_poses(body), row):
                 self._positions[index], self._rotations[index] = part.position, matrix(part)
         return self._positions, self._rotations

@@ -57,6 +57,8 @@ class Arm:
         self._arm = JointGroup(self.body, tuple(names.index(name) for name in model.joints), model.torques)
         fingers = tuple(names.index(name) for name in model.gripper.joints)
         self._fingers = JointGroup(self.body, fingers, (model.gripper.force,) * 2)
+        self.finger_links = self._fingers.joints
+        """Indices of the finger links in Bullet."""
         add_gear_constraint(world, self._fingers, model.gripper.friction)
         self.dynamics = Dynamics(self.body, self._arm.joints, model.chain)
         self.held: Body | None = None
@@ -96,11 +98,6 @@ class Arm:
         """Pose of a wrist camera at the fingers' roots: z along the approach, x the opening direction."""
         height = self.model.gripper.finger[2]
         return self.pose.compose(Pose((0.0, 0.0, height), (1.0, 0.0, 0.0, 0.0)))
-
-    @property
-    def finger_links(self) -> list[int]:
-        """Indices of the finger links in Bullet."""
-        return self._fingers.joints
 
     @property
     def opening(self) -> float:
@@ -247,14 +244,12 @@ class CollidingArm(Arm):
         return self.held is None and not self.world.unsettled and not self.world.has_motion
 
     def _grips(self, body: Body) -> bool:
-        """Return True if the inner sides of both fingers press on a body.
-
-        Contacts of the last step show whether there is a force. Their normals may be older than a rotation.
-        """
+        """Return True if the inner sides of both fingers press on a body."""
         x, y, z = rotate(self.pose.orientation, (1.0, 0.0, 0.0))
         for finger in self.finger_links:
             if not self.world.contacts(self.body, body, finger):
                 return False
+            # Normals of contacts may be older than a rotation.
             points = self.world.closest_points(self.body, body, GRIP_DISTANCE, finger)
             normals = [point.normal for point in points]
             if not any(abs(n[0] * x + n[1] * y + n[2] * z) > GRIP_ALIGNMENT for n in normals):
@@ -267,10 +262,7 @@ class CollidingArm(Arm):
         return [self.world.bodies[index] for index in sorted(found)]
 
     def _shift(self) -> Vector | None:
-        """Return the shift (m) of the robot with the grasped object out of the deepest penetration, or None.
-
-        Penetrations between the two do not count.
-        """
+        """Return the shift (m) of the robot and the grasped object out of the deepest other body, or None."""
         points = [
             point
             for mover in self._movers
@@ -291,14 +283,12 @@ class CollidingArm(Arm):
         return False
 
     def _held_shift(self, held: Body) -> Vector | None:
-        """Return the shift (m) of the grasped object out of the finger that it is too deep in, or None.
-
-        It is at most half of the depth, because the other finger is opposite.
-        """
+        """Return the shift (m) of the grasped object out of the finger that it is too deep in, or None."""
         deepest = _deepest(self.world.closest_points(self.body, held))
         pressed = any(c.distance < -MAX_DEPTH for c in self.world.contacts(self.body, held))
         if deepest is None or not (pressed or -deepest.distance > MAX_HELD_DEPTH):
             return None
+        # At most half of the depth, because the other finger is opposite.
         return _along(deepest, max(MAX_DEPTH + deepest.distance, deepest.distance / 2.0))
 
     def _missing_opening(self) -> float:

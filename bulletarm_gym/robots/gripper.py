@@ -120,6 +120,5 @@ class ParallelJaw(Gripper):
             finger, mount = joint_name.removesuffix("_joint"), Pose.planar(0.0, 0.0, self.palm[2], yaw)
             add_link(root, finger, FINGER_MASS, (pad, *self.trim))
             ends, pose, axis = (link, finger), flange.compose(mount), (1.0, 0.0, 0.0)
-            limits = (0.0, self.stroke / 2.0)
-            add_joint(root, "prismatic", joint_name, ends, pose, axis, limits, self.force, self.speed)
+            add_joint(root, "prismatic", joint_name, ends, pose, axis, (0.0, self.stroke / 2.0))
         return root

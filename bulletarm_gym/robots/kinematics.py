@@ -41,35 +41,26 @@ Frames = tuple[FloatArray, FloatArray, FloatArray]
 class Chain:
     """Revolute joints from the world to a tool.
 
-    :param rotations: (n + 1, 3, 3) fixed rotations before each joint and before the tool
-    :param translations: (n + 1, 3) fixed offsets (m) before each joint and before the tool
-    :param axes: (n, 3) unit axis of each joint in its own frame
+    :param frames: (n + 1, 3, 3) fixed rotations and (n + 1, 3) fixed offsets (m) before each joint and before
+        the tool; (n, 3) unit axis of each joint in its own frame
     :param limits: (n, 2) lower and upper limit (rad) of each joint, infinite for a continuous joint
     """
 
-    rotations: FloatArray
-    translations: FloatArray
-    axes: FloatArray
+    frames: Frames
     limits: FloatArray
-
-    @property
-    def frames(self) -> Frames:
-        """Rotations, translations and axes."""
-        return self.rotations, self.translations, self.axes
 
     @classmethod
     def from_urdf(cls, root: Element, joints: Sequence[str], base: Pose, tool: Pose) -> "Chain":
         """Return the chain of named joints of a URDF and a tool frame in the last link."""
         elements = [find(root, "joint", name) for name in joints]
         first, *others = map(frame_of, elements)
-        frames = [base.compose(first), *others, tool]
-        axes = np.array([axis_of(element) for element in elements])
-        return cls(
-            np.stack([matrix(frame) for frame in frames]),
-            np.array([frame.position for frame in frames]),
+        poses, axes = [base.compose(first), *others, tool], np.array([*map(axis_of, elements)])
+        frames = (
+            np.stack([matrix(pose) for pose in poses]),
+            np.array([pose.position for pose in poses]),
             np.array([axis / np.linalg.norm(axis) for axis in axes]),
-            np.array([limits_of(element) for element in elements]),
         )
+        return cls(frames, np.array([*map(limits_of, elements)]))
 
     def forward(self, joints: FloatArray) -> Pose:
         """Return the tool's pose in the world at joint positions (n,) rad."""
@@ -79,10 +70,7 @@ class Chain:
 
     def derivatives(self, joints: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the tool's rotation (3, 3) and position (3,) m in the world, and their Jacobian (6, n)."""
-        rotation, position, jacobian = np.empty((3, 3)), np.empty(3), np.empty((6, len(joints)))
-        spare = np.empty((len(joints) + 3, 3, 3))
-        _jacobian(self.frames, np.asarray(joints, np.float64), rotation, position, jacobian, spare)
-        return rotation, position, jacobian
+        return _derivatives(self.frames, np.asarray(joints, np.float64))
 
     def inverse(self, pose: Pose, start: FloatArray) -> tuple[FloatArray, float]:
         """Return joint positions (n,) rad for a tool pose, and the maximum error.
@@ -100,9 +88,6 @@ class Chain:
         lower, upper = self.limits.T
         margin = np.minimum(LIMIT_MARGIN, (upper - lower) / 2.0)
         return np.stack([lower + margin, upper - margin], axis=1)
-
-
-# The compiled loops allocate no memory: a solution takes about ten iterations.
 
 
 @compiled
@@ -141,60 +126,43 @@ def advance(
 
 
 @compiled
-def _jacobian(
-    frames: Frames,
-    joints: FloatArray,
-    tool: FloatArray,
-    position: FloatArray,
-    jacobian: FloatArray,
-    spare: FloatArray,
-) -> None:
-    """Write the tool's rotation and position, and the (6, n) Jacobian of position and rotation (world)."""
+def _derivatives(frames: Frames, joints: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the tool's rotation and position, and the (6, n) Jacobian of position and rotation (world)."""
     rotations, translations, axes = frames
-    rotation, origins = spare[2], spare[3:]
-    rotation[:] = 0.0
-    position[:] = 0.0
-    for i in range(3):
-        rotation[i, i] = 1.0
-    for j in range(len(joints)):
+    n = len(joints)
+    rotation, position, jacobian = np.eye(3), np.zeros(3), np.empty((6, n))
+    origins, spare, tool = np.empty((n, 2, 3)), np.empty((2, 3, 3)), np.empty((3, 3))
+    for j in range(n):
         advance(rotation, position, frames, j, joints[j], spare)
         origins[j, 0] = position
         apply(rotation, axes[j], origins[j, 1])
     apply(rotation, translations[-1], spare[0, 0])
     position += spare[0, 0]
     product(rotation, rotations[-1], tool)
-    for j in range(len(joints)):
-        origin, axis = origins[j, 0], origins[j, 1]
-        x, y, z = position[0] - origin[0], position[1] - origin[1], position[2] - origin[2]
+    for j in range(n):
+        axis, (x, y, z) = origins[j, 1], position - origins[j, 0]
         jacobian[0, j] = axis[1] * z - axis[2] * y
         jacobian[1, j] = axis[2] * x - axis[0] * z
         jacobian[2, j] = axis[0] * y - axis[1] * x
         jacobian[3:, j] = axis
+    return tool, position, jacobian
 
 
 @compiled
-def _rotation_vector(goal: FloatArray, now: FloatArray, out: FloatArray, spare: FloatArray) -> None:
-    """Write the rotation vector (rad, world) from ``now`` to ``goal``.
-
-    At an angle of pi the antisymmetric part of the matrix is 0, and the symmetric part gives the axis.
-    """
-    r = spare
+def _rotation_vector(goal: FloatArray, now: FloatArray) -> FloatArray:
+    """Return the rotation vector (rad, world) from ``now`` to ``goal``."""
+    r = np.empty((3, 3))
     product(goal, now.T, r)
-    out[0] = (r[2, 1] - r[1, 2]) / 2.0
-    out[1] = (r[0, 2] - r[2, 0]) / 2.0
-    out[2] = (r[1, 0] - r[0, 1]) / 2.0
-    sine, cosine = math.sqrt(dot(out, out)), (r[0, 0] + r[1, 1] + r[2, 2] - 1.0) / 2.0
+    vector: FloatArray = np.array((r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1])) / 2.0
+    sine, cosine = math.sqrt(dot(vector, vector)), (r[0, 0] + r[1, 1] + r[2, 2] - 1.0) / 2.0
     angle = math.atan2(sine, cosine)
     if sine > HALF_TURN_SINE:
-        out *= angle / sine
-    elif cosine < 0.0:
-        column = 0
-        for i in range(1, 3):
-            if r[i, i] > r[column, column]:
-                column = i
+        vector *= angle / sine
+    elif cosine < 0.0:  # the antisymmetric part of the matrix is 0, and the symmetric part gives the axis
+        column = np.argmax(np.diag(r))
         norm = math.sqrt(2.0 * (r[column, column] + 1.0))
-        for i in range(3):
-            out[i] = (r[i, column] + (1.0 if i == column else 0.0)) * angle / norm
+        vector = (r[:, column] + np.eye(3)[column]) * angle / norm
+    return vector
 
 
 @compiled
@@ -221,42 +189,25 @@ def _solve(a: FloatArray, x: FloatArray, low: FloatArray) -> None:
 
 
 @compiled
-def _add_product(jacobian: FloatArray, weights: FloatArray, factor: float, out: FloatArray) -> None:
-    """Add ``factor * jacobian.T @ weights``, (n,)."""
-    for i in range(6):
-        for j in range(len(out)):
-            out[j] += factor * jacobian[i, j] * weights[i]
+def _beyond(joints: FloatArray, limits: FloatArray) -> FloatArray:
+    """Return the change (n,) rad that moves each joint inside its limits."""
+    change: FloatArray = np.minimum(np.maximum(joints, limits[:, 0]), limits[:, 1]) - joints
+    return change
 
 
 @compiled
-def _beyond(joints: FloatArray, limits: FloatArray, out: FloatArray) -> float:
-    """Write the change (n,) rad that moves each joint inside its limits, and return the largest."""
-    largest = 0.0
-    for j in range(len(joints)):
-        out[j] = min(max(joints[j], limits[j, 0]), limits[j, 1]) - joints[j]
-        largest = max(largest, abs(out[j]))
-    return largest
-
-
-@compiled
-def _null_step(
-    jacobian: FloatArray, square: FloatArray, beyond: FloatArray, weights: FloatArray, low: FloatArray
-) -> FloatArray:
+def _null_step(jacobian: FloatArray, square: FloatArray, beyond: FloatArray, low: FloatArray) -> FloatArray:
     """Return the step (n,) in the null space that moves joints towards their limits."""
+    weights, step = np.empty(6), beyond.copy()
     for i in range(6):
         weights[i] = dot(jacobian[i], beyond)
     _solve(square, weights, low)
-    step = beyond.copy()
-    _add_product(jacobian, weights, -1.0, step)
-    wanted = norm = largest = 0.0
-    for j in range(len(step)):
-        largest = max(largest, abs(step[j]))
-        if beyond[j] != 0.0:
-            wanted += beyond[j] * step[j]
-            norm += step[j] * step[j]
-    if norm < 1e-12:
-        return np.zeros(len(step))
-    return step * min(wanted / norm, MAX_NULL_STEP / largest)
+    for i in range(6):
+        step -= jacobian[i] * weights[i]
+    moved = beyond != 0.0
+    wanted, norm = dot(beyond[moved], step[moved]), dot(step[moved], step[moved])
+    step *= min(wanted / norm, MAX_NULL_STEP / np.abs(step).max()) if norm >= 1e-12 else 0.0
+    return step
 
 
 @compiled
@@ -275,31 +226,27 @@ def _inverse(
 ) -> tuple[FloatArray, float]:
     """Return joint positions (n,) rad for a rotation (3, 3) and position (3,), and the maximum error."""
     n = len(start)
-    joints, change, error, weights = start.copy(), np.empty(n), np.empty(6), np.empty(6)
-    position, rotation, jacobian, beyond = np.empty(3), np.empty((3, 3)), np.empty((6, n)), np.empty(n)
-    square, low, spare = np.empty((6, 6)), np.zeros((6, 6)), np.empty((n + 3, 3, 3))
+    joints, error, square, low = start.copy(), np.empty(6), np.empty((6, 6)), np.zeros((6, 6))
     for iteration in range(MAX_ITERATIONS + 1):
-        _jacobian(frames, joints, rotation, position, jacobian, spare)
-        error[:3] = target[1] - position
-        _rotation_vector(target[0], rotation, error[3:], spare[0])
-        outside = _beyond(joints, limits, beyond)
+        rotation, position, jacobian = _derivatives(frames, joints)
+        error[:3], error[3:] = target[1] - position, _rotation_vector(target[0], rotation)
+        beyond = _beyond(joints, limits)
         is_solved = dot(error, error) < TOLERANCE**2
-        if is_solved and outside > 0.0:
+        if is_solved and beyond.any():
             _unwind(joints, limits, beyond)
-            outside = _beyond(joints, limits, beyond)
+            beyond = _beyond(joints, limits)
+        outside = np.abs(beyond).max()
         if iteration == MAX_ITERATIONS or (is_solved and (outside < TOLERANCE or n <= 6)):
             break
         for i in range(6):
             for j in range(i + 1):  # the solver reads the lower triangle
                 square[i, j] = dot(jacobian[i], jacobian[j])
             square[i, i] += DAMPING
-        weights[:] = error
+        weights, change = error.copy(), np.zeros(n)
         _solve(square, weights, low)
-        change[:] = 0.0
-        _add_product(jacobian, weights, 1.0, change)
+        for i in range(6):
+            change += jacobian[i] * weights[i]
         if outside > 0.0 and n > 6:
-            change += _null_step(jacobian, square, beyond, weights, low)
-        share = min(1.0, MAX_JOINT_STEP / max(np.abs(change).max(), 1e-12))
-        for j in range(n):
-            joints[j] += change[j] * share
+            change += _null_step(jacobian, square, beyond, low)
+        joints += change * min(1.0, MAX_JOINT_STEP / max(np.abs(change).max(), 1e-12))
     return joints, max(np.abs(error).max(), outside)

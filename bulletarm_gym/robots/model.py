@@ -205,7 +205,7 @@ class Dynamics:
         self._masses = np.array([*(link.mass for link in moved), tip_mass])
         self._centres = np.array([*(link.frame.position for link in moved), (0.0, 0.0, 0.0)])
         self._inertias = np.array([*inertias, np.zeros((3, 3))])
-        self._frames = (chain.rotations, chain.translations, np.vstack([chain.axes, (0.0, 0.0, 1.0)]))
+        self._frames = (*chain.frames[:2], np.vstack([chain.frames[2], (0.0, 0.0, 1.0)]))
 
     def torques(
         self, positions: FloatArray, rates: FloatArray, accelerations: FloatArray, load: float = 0.0
@@ -230,6 +230,7 @@ class Dynamics:
         :param rise: fraction of the motion with positive acceleration
         """
         rising, braking = 2.0 / rise, -2.0 / (1.0 - rise)  # of a motion of length 1 in one second
+        # Share of the path, speed and acceleration.
         phases = ((0.0, 0.0, rising), (rise, 2.0, rising), (rise, 2.0, braking), (1.0, 0.0, braking))
         path = np.pad(path, ((0, 0), (0, 1)))
         square = _least_square(self._model(load), path, TORQUE_SHARE * limits, np.array(phases))
@@ -284,10 +285,7 @@ def _torques(model: Model, positions: FloatArray, rates: FloatArray, acceleratio
 
 @compiled
 def _least_square(model: Model, path: FloatArray, limits: FloatArray, phases: FloatArray) -> float:
-    """Return the square of the shortest duration (s) of a motion along a path.
-
-    :param phases: (k, 3) share of the path, speed and acceleration of a motion of one second
-    """
+    """Return the square of the shortest duration (s) of a motion with (k, 3) phases along a path."""
     pieces, still, square = len(path) - 1, np.zeros(path.shape[1]), 0.0
     for phase in range(len(phases)):
         share, rate, acceleration = phases[phase]

@@ -128,10 +128,7 @@ class Robot(CollidingArm):
         return self._follow(stops, length, in_contact and not is_clear)
 
     def _beside(self, pose: Pose, normal: Vector) -> Pose | None:
-        """Return the pose in reach to which a blocked arm slides, or None if it is too near.
-
-        A real arm yields to contact forces, so that only the part of a motion into the body is impossible.
-        """
+        """Return the pose in reach to which a blocked arm slides, as a real one does, or None if too near."""
         position = np.array(self.pose.position)
         way = np.array(pose.position) - position
         along = way - (way @ normal) * np.array(normal)
@@ -142,11 +139,10 @@ class Robot(CollidingArm):
         beside = Pose((x, y, z), pose.orientation)
         return beside if self.reaches(beside) else None
 
-    def move_joints(self, positions: Sequence[float], in_contact: bool = True) -> None:
-        """Move the arm joints by simulation. A blocked arm stops.
+    def move_joints(self, positions: Sequence[float]) -> None:
+        """Move the arm joints by simulation, as slowly as in contact. A blocked arm stops.
 
         :param positions: joint positions (rad) in the order of ``model.joints``
-        :param in_contact: move slowly, because the robot may push an object
         :raises ValueError: the number of positions is wrong, or one is outside its limits
         """
         limits = self.model.chain.limits
@@ -157,7 +153,7 @@ class Robot(CollidingArm):
         )
         goal = check_argument("positions", positions, check)
         length = path_length(self.pose, self.model.chain.forward(np.array(goal)))
-        self._follow([goal], length, in_contact)
+        self._follow([goal], length, in_contact=True)
 
     def _follow(self, stops: Sequence[Sequence[float]], length: float, in_contact: bool) -> Vector | None:
         steps, rise = self.duration(stops, length, in_contact and self.held is None)
@@ -182,12 +178,9 @@ class Robot(CollidingArm):
         return max(round(steps * self.world.physics.pace), least), rise
 
     def _line(self, start: Pose, end: Pose) -> list[tuple[float, ...]]:
-        """Return intermediate joint positions (rad) that keep the tool on the line between two poses.
-
-        Most joint motions deviate by some millimetres if the gripper points down, and by centimetres if not.
-        """
+        """Return intermediate joint positions (rad) that keep the tool on the line between two poses."""
         if end.tilt < LEVEL_TILT and self._is_straight(end, self.inverse_kinematics(end)):
-            return []
+            return []  # the joint motion deviates by some millimetres, otherwise by centimetres
         shares = np.linspace(0.0, 1.0, LINE_STOPS + 2)[1:-1].tolist()
         poses = [interpolate(start, end, share) for share in shares]
         return [self.inverse_kinematics(pose) for pose in poses if self.reaches(pose)]

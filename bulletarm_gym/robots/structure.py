@@ -115,10 +115,7 @@ def merge_fixed(root: Element) -> None:
 
 
 def _add_mass(link: Element, other: Element, mount: Pose) -> None:
-    """Add the mass of another link at the common centre of mass.
-
-    A link without ``<inertial>`` has no mass here, and 1 kg in Bullet.
-    """
+    """Add the mass of another link, 0 without ``<inertial>``, at the common centre of mass."""
     added = other.find("inertial")
     if added is None or urdf.mass_of(other) == 0.0:
         return

@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 
 from bulletarm_gym.geometry import matrix, rotate
-from bulletarm_gym.simulation import Body, World
+from bulletarm_gym.simulation import Body, Slide, World
 from bulletarm_gym.simulation.state import REST_SPEED
 from bulletarm_gym.surfaces.surface import UP, Surface
 
@@ -55,8 +55,9 @@ def is_stable(world: World, surface: Surface, bodies: Sequence[Body]) -> bool:
 def _has_level_slides(world: World, body: Body) -> bool:
     """Return True if gravity does not move the parts of a fixed body."""
     orientation = world.poses[body.index].orientation
-    return not body.spec.hinges and all(
-        abs(rotate(orientation, slide.axis)[2]) < CONTACT for slide in body.spec.slides
+    return all(
+        isinstance(part, Slide) and abs(rotate(orientation, part.axis)[2]) < CONTACT
+        for part in body.spec.parts
     )
 
 

@@ -100,8 +100,7 @@ def _arm_numbers(model: RobotModel) -> list[Any]:
     chain, gripper = model.chain, model.gripper
     masses = [mass_of(link) for link in model.urdf.findall("link")]
     fingers = (gripper.stroke, gripper.force, gripper.speed, gripper.friction)
-    frames = (chain.rotations, chain.translations, chain.axes, chain.limits)
-    return [*frames, model.posture, model.torques, masses, fingers]
+    return [*chain.frames, chain.limits, model.posture, model.torques, masses, fingers]
 
 
 def _object_numbers(spec: BodySpec) -> list[float]:

@@ -37,8 +37,9 @@ def load_rigid(client: Client, spec: BodySpec, damping: float) -> int:
 def load_jointed(client: Client, spec: BodySpec, damping: float) -> int:
     """Load a body with moving parts, and return its number in Bullet, which reads joint limits from URDF."""
     is_free = spec.mass > 0.0
+    has_hinges = any(isinstance(part, Hinge) for part in spec.parts)
     # A part that slides in a fixed body does not rotate: its inertia has no effect.
-    flags = client.URDF_USE_INERTIA_FROM_FILE if is_free or spec.hinges else 0
+    flags = client.URDF_USE_INERTIA_FROM_FILE if is_free or has_hinges else 0
     with tempfile.TemporaryDirectory(prefix="bulletarm_") as folder:
         path = Path(folder, "body.urdf")
         path.write_text(_write_urdf(spec, Path(folder)))
@@ -147,12 +148,9 @@ def _write_urdf(spec: BodySpec, folder: Path) -> str:
 
 
 def _add_link(root: Element, spec: BodySpec, folder: Path, is_free: bool) -> None:
-    """Add a link with the pieces of a specification.
-
-    The inertial frame of a free body has the principal axes, because Bullet reports the pose of this frame.
-    """
+    """Add a link with the pieces of a specification."""
     link = SubElement(root, "link", name=spec.name)
-    frame, moments = spec.mass_properties
+    frame, moments = spec.mass_properties  # Bullet reports the pose of the inertial frame of a free body
     rotation = matrix(ORIGIN if is_free else frame)
     tensor = rotation @ (rotation * moments).T
     urdf.add_inertial(link, frame if is_free else Pose(frame.position), spec.mass, tensor.tolist())
@@ -188,10 +186,7 @@ def _visual_shape(client: Client, spec: BodySpec) -> int:
 
 @cache
 def _mesh_arguments(triangles: bytes) -> dict[str, list[Any]]:
-    """Return PyBullet's arguments for float64 triangles (m), with normals that render edges sharp.
-
-    The lists are cached because PyBullet never releases them: new lists for every body would leak memory.
-    """
+    """Return PyBullet's arguments for float64 triangles (m), cached: PyBullet never releases lists."""
     corners = np.frombuffer(triangles).reshape(-1, 3, 3)
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)

@@ -153,8 +153,7 @@ class BodySpec:
     :param rolling_friction: coefficient against rolling (m)
     :param spinning_friction: coefficient against spinning in place (m)
     :param angular_damping: fraction of the angular velocity lost per second, added to the physics mode's
-    :param slides: parts that slide; their joints come first
-    :param hinges: parts that rotate; their joints follow
+    :param parts: moving parts in the order of the joints
     :param is_mark: a mark on the ground, which is rendered but is not an obstacle and has no height
     """
 
@@ -166,8 +165,7 @@ class BodySpec:
     spinning_friction: float = 0.0
     angular_damping: float = 0.0
     colour: Colour = RED
-    slides: tuple[Slide, ...] = ()
-    hinges: tuple[Hinge, ...] = ()
+    parts: tuple[Slide | Hinge, ...] = ()
     is_mark: bool = False
 
     def __post_init__(self) -> None:
@@ -179,11 +177,6 @@ class BodySpec:
     def mesh(self) -> Mesh:
         """The triangles of all pieces in the body's frame."""
         return join([piece.mesh for piece in self.pieces])
-
-    @property
-    def parts(self) -> tuple[Slide | Hinge, ...]:
-        """The moving parts in the order of the joints."""
-        return (*self.slides, *self.hinges)
 
     @cached_property
     def part_meshes(self) -> list[Mesh]:

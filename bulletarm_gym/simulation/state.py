@@ -6,9 +6,10 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from bulletarm_gym.config_checks import check_fields, colour
-from bulletarm_gym.geometry import FloatArray, Pose, Vector, from_rotvec, matrix
+from bulletarm_gym.geometry import FloatArray, Pose, Vector
 from bulletarm_gym.simulation.shapes import FRICTIONS, BodySpec, Colour, amounts
 
 Twist = tuple[Vector, Vector]
@@ -57,14 +58,9 @@ class Optics:
     def camera_error(self) -> FloatArray:
         """Transformation (4, 4) from nominal to actual camera coordinates (m)."""
         error = np.eye(4)
-        error[:3, :3] = matrix(Pose((0.0, 0.0, 0.0), from_rotvec(self.rotation)))
+        error[:3, :3] = Rotation.from_rotvec(self.rotation).as_matrix()
         error[:3, 3] = self.position
         return np.asarray(np.linalg.inv(error), np.float64)
-
-    @cached_property
-    def yaw_error(self) -> FloatArray:
-        """Rotation matrix (3, 3) about the vertical, which orthographic heightmaps show."""
-        return matrix(Pose.planar(0.0, 0.0, 0.0, self.rotation[2]))
 
 
 NOMINAL = Optics()

@@ -8,7 +8,9 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, ParseError, SubElement
 from xml.parsers import expat
 
-from bulletarm_gym.geometry import Pose, Vector, euler_angles, euler_pose, from_rotvec
+from scipy.spatial.transform import Rotation
+
+from bulletarm_gym.geometry import Pose, Vector, euler_angles, euler_pose
 from bulletarm_gym.simulation.shapes import check_mesh
 
 PACKAGE, FILE = "package://", "file://"
@@ -174,8 +176,9 @@ def pose_at(joint: Element, position: float) -> Pose:
     x, y, z = axis_of(joint)
     length = math.hypot(x, y, z)
     x, y, z = (position * part / length for part in (x, y, z))
-    moved = Pose((x, y, z)) if kind == "prismatic" else Pose((0.0, 0.0, 0.0), from_rotvec((x, y, z)))
-    return frame.compose(moved)
+    if kind == "prismatic":
+        return frame.compose(Pose((x, y, z)))
+    return frame.compose(Pose((0.0, 0.0, 0.0), tuple(Rotation.from_rotvec((x, y, z)).as_quat().tolist())))
 
 
 def mass_of(link: Element) -> float:
@@ -232,15 +235,8 @@ def add_joint(
     origin: Pose,
     axis: Vector,
     limits: tuple[float, float] | None = None,
-    effort: float = 100.0,
-    velocity: float = 10.0,
 ) -> Element:
-    """Add a joint between a parent and a child link and return it.
-
-    :param limits: lower and upper limit (rad or m)
-    :param effort: maximum torque (N m) or force (N)
-    :param velocity: maximum velocity (rad/s or m/s)
-    """
+    """Add a joint between a parent and a child link, with its limits (rad or m), and return it."""
     joint = SubElement(root, "joint", name=name, type=kind)
     put(joint, "parent", link=links[0])
     put(joint, "child", link=links[1])
@@ -248,5 +244,5 @@ def add_joint(
     put(joint, "axis", xyz=text_of(axis))
     if limits is not None:
         bounds = {"lower": repr(limits[0]), "upper": repr(limits[1])}
-        put(joint, "limit", **bounds, effort=repr(effort), velocity=repr(velocity))
+        put(joint, "limit", **bounds, effort="100", velocity="10")  # motors have limits of their own
     return joint

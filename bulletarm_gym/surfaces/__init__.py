@@ -1,8 +1,13 @@
 """Surfaces: the ground of a workspace."""
 
-from bulletarm_gym.surfaces.bump import BumpSurface
-from bulletarm_gym.surfaces.ramp import RampSurface
-from bulletarm_gym.surfaces.surface import FlatSurface, Point, Surface, TraySurface
+from bulletarm_gym.surfaces.bump import BumpSurface as BumpSurface
+from bulletarm_gym.surfaces.ramp import RampSurface as RampSurface
+from bulletarm_gym.surfaces.surface import (
+    FlatSurface as FlatSurface,
+    Point as Point,
+    Surface as Surface,
+    TraySurface as TraySurface,
+)
 
 SURFACES: dict[str, type[Surface]] = {
     "flat": FlatSurface,
@@ -11,13 +16,3 @@ SURFACES: dict[str, type[Surface]] = {
     "bump": BumpSurface,
 }
 """Built-in surfaces by name."""
-
-__all__ = [
-    "SURFACES",
-    "BumpSurface",
-    "FlatSurface",
-    "Point",
-    "RampSurface",
-    "Surface",
-    "TraySurface",
-]

@@ -12,7 +12,7 @@ from bulletarm_gym.config import MAX_ROTATION, MAX_TRANSLATION, OPEN_LOOP, EnvCo
 from bulletarm_gym.control import GraspParams
 from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.experts.approach import ALIGNED, ALIGNED_YAW, HOVER, rotates
-from bulletarm_gym.experts.grasp_sampling import DEPTHS, YAWS, ElevationMap, find_grasps
+from bulletarm_gym.experts.grasp_sampling import DEPTHS, YAWS, ClutterMap, find_grasps
 from bulletarm_gym.experts.pushing import singulate
 from bulletarm_gym.geometry import FloatArray, PlacementError, Pose, planar_distance, wrap_angle
 from bulletarm_gym.objects.catalogue import object_set
@@ -154,18 +154,18 @@ class ObjectGrasping(Lift):
             self.memory = (*failed, tool)[-MAX_FAILURES:]
 
     def plan_grasp(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
-        elevation = ElevationMap.of(scene)
-        target = self._target(scene, elevation)
+        clutter = ClutterMap.of(scene)
+        target = self._target(scene, clutter)
         if target is None:
             yield from singulate(scene, max(scene, key=lambda obj: scene.world.top(obj.body)), rng)
         else:
-            yield _approach(scene, elevation, target)
+            yield _approach(scene, clutter, target)
 
-    def _target(self, scene: Scene, elevation: ElevationMap) -> Pose | None:
+    def _target(self, scene: Scene, clutter: ClutterMap) -> Pose | None:
         """Return the grasp with the best quality minus distance cost, if any grasp is good enough."""
         # The distance decreases fastest for the chosen grasp, so that the choice does not change.
         tool = scene.robot.pose
-        grasps = self._grasps(scene, elevation, DEPTHS)
+        grasps = self._grasps(scene, clutter, DEPTHS)
         x, y, _, yaw, quality = grasps.T
         value = quality.copy()
         for failed in self.memory or ():
@@ -178,13 +178,13 @@ class ObjectGrasping(Lift):
         distance = np.sqrt((x - tool.x) ** 2 + (y - tool.y) ** 2 + rotation**2)
         return _pose(grasps[int(np.where(good, value - DISTANCE_COST * distance, -np.inf).argmax())])
 
-    def _grasps(self, scene: Scene, elevation: ElevationMap, depths: Sequence[float]) -> FloatArray:
+    def _grasps(self, scene: Scene, clutter: ClutterMap, depths: Sequence[float]) -> FloatArray:
         """Return the grasps in the workspace, see :func:`find_grasps`."""
         yaws = [math.pi * step / YAWS for step in range(YAWS)] if rotates(scene) else [scene.robot.pose.yaw]
         limits: FloatArray = np.array(self.config.workspace)
         low, high = limits.T
         lowest = max(scene.surface.level + FLOOR_CLEARANCE, low[2])
-        grasps = find_grasps(elevation, scene.robot.model.gripper, yaws, lowest, depths)
+        grasps = find_grasps(clutter, scene.robot.model.gripper, yaws, lowest, depths)
         inside: NDArray[np.bool_] = ((low[:2] < grasps[:, :2]) & (grasps[:, :2] < high[:2])).all(axis=1)
         return grasps[inside]
 
@@ -213,7 +213,7 @@ class OpenLoopObjectGrasping(ObjectGrasping):
             yield Waypoint(scene.robot.pose, CLOSED, finish=OPEN)
             return
         depths = DEPTHS if "z" in self.config.action_sequence else (PICK_DEPTH,)
-        grasps = self._grasps(scene, ElevationMap.of(scene), depths)
+        grasps = self._grasps(scene, ClutterMap.of(scene), depths)
         if len(grasps):
             value = grasps[:, 4] + rng.normal(0.0, QUALITY_NOISE, len(grasps))
             yield Waypoint(_pose(grasps[int(value.argmax())]), OPEN, finish=CLOSED)
@@ -231,25 +231,23 @@ class OpenLoopObjectGrasping(ObjectGrasping):
         return Pose.planar(x, y, scene.surface.level + FLOOR_CLEARANCE, yaw)
 
 
-def _approach(scene: Scene, elevation: ElevationMap, target: Pose) -> Waypoint:
-    """Return the next waypoint of a grasp: open, move towards it, descend in a funnel, close.
-
-    It is continuous in the tool pose, so that the plan corrects the errors of an agent that imitates it.
-    """
+def _approach(scene: Scene, clutter: ClutterMap, target: Pose) -> Waypoint:
+    """Return the next waypoint of a grasp: open, move towards it, descend in a funnel, close."""
     tool, reach = scene.robot.pose, scene.robot.model.gripper.stroke / 2.0
     if scene.robot.opening_ratio < SHUT:
-        top = elevation.top_between(tool.position, tool.position, reach)
+        top = clutter.top_between(tool.position, tool.position, reach)
         return Waypoint(Pose.planar(tool.x, tool.y, max(tool.z, top) + HOVER, tool.yaw), OPEN)
     rotation = wrap_angle(target.yaw - tool.yaw, math.pi)
     distance = planar_distance(target.position, tool.position)
     if distance < ALIGNED and abs(rotation) < ALIGNED_YAW and abs(target.z - tool.z) < DEEP:
         return Waypoint(Pose.planar(*target.position, tool.yaw + rotation), OPEN, finish=CLOSED)
-    # The distance that remains after this step limits the descent.
+    # The distance that remains after this step limits the descent: a continuous plan corrects the errors of
+    # an agent that imitates it.
     dx = max(0.0, abs(target.x - tool.x) - scene.max_translation)
     dy = max(0.0, abs(target.y - tool.y) - scene.max_translation)
     left = max(math.hypot(dx, dy), FUNNEL_ROTATION * max(0.0, abs(rotation) - scene.max_rotation))
     apart = max(left, max(distance, FUNNEL_ROTATION * abs(rotation)) / 2.0 - ALIGNED)
-    top = max(target.z, elevation.top_between(tool.position, target.position, reach) + HOVER)
+    top = max(target.z, clutter.top_between(tool.position, target.position, reach) + HOVER)
     height = target.z + (top - target.z) * min(1.0, max(0.0, apart / FUNNEL))
     return Waypoint(Pose.planar(target.x, target.y, height, tool.yaw + rotation), OPEN)
 

@@ -148,10 +148,7 @@ class FreeSpace:
         return [across + math.pi / 2.0, across]
 
     def _lowest(self, yaw: float) -> tuple[tuple[float, ...], Pose] | None:
-        """Return a key for comparison and the pose of the lowest release at a yaw.
-
-        Without space for the fingers the block is released higher, so that they touch nothing.
-        """
+        """Return a key for comparison and the pose of the lowest release at a yaw."""
         low, high = self._outline(yaw)
         rest = self._highest(low, high, math.inf)
         lowest = rest + RELEASE - low[2]
@@ -164,7 +161,7 @@ class FreeSpace:
             return None
         free = fits & (tips <= lowest)
         steps = np.round(np.where(free, rest, np.inf) / PITCH)
-        if not free.any():
+        if not free.any():  # released higher, so that the fingers touch nothing
             steps = np.round(np.where(fits, tips, np.inf) / PITCH)
         cost = self._xs[:, None] - ROW_WEIGHT * np.abs(self._ys)
         row, column = np.unravel_index(np.where(steps == steps.min(), cost, np.inf).argmin(), steps.shape)
@@ -293,15 +290,13 @@ class BottleArrangement(Task):
     def _most_free(self, scene: Scene, others: list[SceneObject]) -> Pose:
         """Return the position in the tray, in the world, with the largest distance to other bottles."""
         points = [obj.pose.position for obj in others]
-        spots = [scene["tray"].pose.compose(position) for position in tray_positions()]
+        x, y = TRAY[0] / COLUMNS, TRAY[1] / ROWS
+        grid = [
+            Pose((x * (column - (COLUMNS - 1) / 2.0), y * (row - (ROWS - 1) / 2.0), containers.TRAY_FLOOR))
+            for column in range(COLUMNS)
+            for row in range(ROWS)
+        ]
+        spots = [scene["tray"].pose.compose(position) for position in grid]
         return max(
             spots, key=lambda spot: min((planar_distance(spot.position, p) for p in points), default=0.0)
         )
-
-
-def tray_positions() -> list[Pose]:
-    """Return the positions of bottles on the tray's floor, in the tray's frame."""
-    pitch = (TRAY[0] / COLUMNS, TRAY[1] / ROWS)
-    columns = [pitch[0] * (column - (COLUMNS - 1) / 2.0) for column in range(COLUMNS)]
-    rows = [pitch[1] * (row - (ROWS - 1) / 2.0) for row in range(ROWS)]
-    return [Pose((x, y, containers.TRAY_FLOOR)) for x in columns for y in rows]

@@ -63,7 +63,8 @@ class Progress:
 
 def _share(scene: Scene, plan: list[Waypoint]) -> float:
     """Return the progress within a part."""
-    near = math.exp(-_length(scene, plan) / DECAY)
+    poses = [scene.robot.pose, *(waypoint.pose for waypoint in plan)]
+    near = math.exp(-sum(_steps(scene, start, end) for start, end in pairwise(poses)) / DECAY)
     if _grasps(plan):
         return near / 2.0
     is_carried = not is_empty(scene) and plan[0].gripper == CLOSED
@@ -76,13 +77,8 @@ def _grasps(plan: list[Waypoint]) -> bool:
     return any(after < before for before, after in pairwise(openings))
 
 
-def _length(scene: Scene, plan: list[Waypoint]) -> float:
-    """Return the length (closed-loop steps) of the path along a plan; the axes move at the same time."""
-    poses = [scene.robot.pose, *(waypoint.pose for waypoint in plan)]
-    return sum(_steps(scene, start, end) for start, end in pairwise(poses))
-
-
 def _steps(scene: Scene, start: Pose, end: Pose) -> float:
+    """Return the length (closed-loop steps) of a path whose axes move at the same time."""
     distances = (abs(b - a) for a, b in zip(start.position, end.position, strict=True))
     rotation = abs(wrap_angle(end.yaw - start.yaw)) if rotates(scene) else 0.0
     return max(max(distances) / scene.max_translation, rotation / scene.max_rotation)

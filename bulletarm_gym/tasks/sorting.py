@@ -12,12 +12,12 @@ from bulletarm_gym.experts import HALF_OPEN, Waypoint, approach
 from bulletarm_gym.experts.approach import grasp, highest_between, place_object, rotates, side_yaw
 from bulletarm_gym.experts.pick_place import fingers_fit
 from bulletarm_gym.geometry import Footprint, Pose, planar_distance, wrap_angle
-from bulletarm_gym.objects import BodySpec, Colour, bowl, cube
+from bulletarm_gym.objects import bowl, cube
 from bulletarm_gym.objects.containers import BOWL_DIAMETER, BOWL_HEIGHT, BOWL_THICKNESS
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, scaled
 from bulletarm_gym.scene.predicates import success_at_rest, upright
 from bulletarm_gym.scene.sampling import footprint, place_apart, sample_until
-from bulletarm_gym.simulation.shapes import BLUE, RED
+from bulletarm_gym.simulation.shapes import BLUE, RED, BodySpec, Colour
 from bulletarm_gym.tasks.stacking import SCALE
 from bulletarm_gym.tasks.task import Task
 
@@ -121,10 +121,7 @@ def _bowl_of(scene: Scene, block: SceneObject) -> SceneObject:
 
 
 def _take(scene: Scene) -> Iterator[Waypoint]:
-    """Yield the waypoints of a grasp along the sides where the open fingers fit.
-
-    The cube is one outside its bowl, preferably one with such sides, or any cube.
-    """
+    """Yield the waypoints of a grasp of a cube outside its bowl, along sides where the open fingers fit."""
     cubes, tool = _cubes(scene), scene.robot.pose
     remaining = [block for block in cubes if not _is_in(_bowl_of(scene, block), block)] or cubes
     block = next((block for block in remaining if _yaws(scene, block)[1]), remaining[0])

@@ -1,9 +1,9 @@
 """Stacking blocks, and building houses of fixed blocks and of blocks with random shapes."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
 from typing import ClassVar
 
@@ -16,11 +16,11 @@ from bulletarm_gym.experts.blueprint import BUILD_TOLERANCE, Blocks, Blueprint
 from bulletarm_gym.experts.builder import Builder, TowerBuilder
 from bulletarm_gym.geometry import FloatArray
 from bulletarm_gym.objects import blocks
-from bulletarm_gym.objects.blocks import CUBE_SIZE, brick, cube, roof, triangle
+from bulletarm_gym.objects.blocks import CUBE_SIZE
+from bulletarm_gym.objects.catalogue import create
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, predicates, scaled
 from bulletarm_gym.scene.predicates import is_empty, success_at_rest, upright
 from bulletarm_gym.scene.sampling import place_apart, sample_until, scatter, stand
-from bulletarm_gym.simulation import BodySpec
 from bulletarm_gym.tasks.picking import BORDER_MARGIN
 from bulletarm_gym.tasks.task import Task
 
@@ -58,17 +58,11 @@ class Structure(Task):
     """
 
     controls = (OPEN_LOOP, CLOSE_LOOP)
-    kinds: ClassVar[Mapping[str, Callable[[str, float], BodySpec]]] = {
-        "cube": cube,
-        "brick": brick,
-        "roof": roof,
-        "triangle": triangle,
-    }
-    """Functions that make each kind of block from a name and a scale."""
     upright: Sequence[str] = ("roof", "triangle")
     """Kinds whose z axis must stay vertical."""
     layers: Sequence[Sequence[str]]
-    """The kinds of the blocks of each layer, from the surface up, see :class:`Blueprint`."""
+    """The kinds of the blocks of each layer, from the surface up, see :class:`Blueprint` and
+    :func:`~bulletarm_gym.objects.catalogue.create`."""
     width: ClassVar[float] = CUBE_SIZE
     """Largest width (m) at scale 1 of the blocks on the surface."""
 
@@ -101,7 +95,7 @@ class Structure(Task):
 
         :param number: number of the block within its kind, from 0
         """
-        return scaled(config, name, self.kinds[kind])
+        return scaled(config, name, partial(create, kind))
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         def place() -> Builder:

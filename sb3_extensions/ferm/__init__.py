@@ -1,6 +1,4 @@
 """Framework for efficient robotic manipulation: contrastive learning, augmentation, demonstrations."""
 
-from sb3_extensions.ferm.ferm import FERM
-from sb3_extensions.ferm.policies import MultiInputPolicy
-
-__all__ = ["FERM", "MultiInputPolicy"]
+from sb3_extensions.ferm.ferm import FERM as FERM
+from sb3_extensions.ferm.policies import MultiInputPolicy as MultiInputPolicy

@@ -7,9 +7,9 @@ import numpy as np
 from gymnasium import spaces
 
 from bulletarm_gym.control import CloseLoop
-from bulletarm_gym.objects import BodySpec, Box, Piece
 from bulletarm_gym.observations import Sensor
 from bulletarm_gym.robots import KUKA
+from bulletarm_gym.simulation import BodySpec, Box, Piece
 from bulletarm_gym.surfaces import FlatSurface
 from bulletarm_gym.tasks.picking import BlockPicking
 

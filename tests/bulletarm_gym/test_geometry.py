@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from bulletarm_gym.geometry import Mesh, Pose, join, matrix, multiply, quaternion, rotate, wrap_angle
-from bulletarm_gym.geometry.poses import as_rotvec, euler_angles, from_rotvec
+from bulletarm_gym.geometry.poses import euler_angles
 from bulletarm_gym.observations.rasterizer import Window, ZBuffer
 
 EXTENT, SIZE = 0.45, 128
@@ -159,15 +159,6 @@ def test_rotations_agree_with_scipy():
         assert euler_angles(one.orientation) == pytest.approx(theirs.as_euler("xyz"))
         assert one.tilt == pytest.approx(math.acos(theirs.apply([0, 0, 1])[2]), abs=1e-6)
         assert abs(np.dot(quaternion(theirs.as_matrix()), one.orientation)) == pytest.approx(1.0)
-
-
-def test_rotation_vectors_agree_with_scipy():
-    vectors = np.random.default_rng(0).uniform(-1.5, 1.5, (50, 3))
-    for vector in (*vectors, np.zeros(3), np.array([1e-9, 0, 0])):
-        q = from_rotvec(vector.tolist())
-        np.testing.assert_allclose(q, Rotation.from_rotvec(vector).as_quat(), atol=1e-12)
-        np.testing.assert_allclose(as_rotvec(q), vector, atol=1e-12)
-        np.testing.assert_allclose(as_rotvec(tuple(-part for part in q)), vector, atol=1e-12)
 
 
 @pytest.mark.parametrize("period", [2 * math.pi, math.pi, math.pi / 2])

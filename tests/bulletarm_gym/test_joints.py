@@ -40,7 +40,7 @@ def boxed(mass):
     world = World(PHYSICS_MODES["fast"])
     world.add_plane(FLOOR)
     world.add(CUBE, Pose((0.3, 0.0, 0.02)))
-    body = world.add(BodySpec("box", WALLS, mass, slides=(BOLT,), hinges=(LID,)), Pose((0.0, 0.0, 0.0)))
+    body = world.add(BodySpec("box", WALLS, mass, parts=(BOLT, LID)), Pose((0.0, 0.0, 0.0)))
     world.add(CUBE)
     world.seal()
     yield world, body
@@ -101,7 +101,7 @@ def test_inertia_has_the_axes_of_the_pieces(mass):
     ends = tuple(Piece(Box((0.02, 0.02, 0.02)), frame.compose(Pose((x, 0.0, 0.0)))) for x in (-0.1, 0.1))
     weights = Hinge("weights", ends, 0.2, pivot=(0.0, 0.0, 0.0), axis=(0.0, 0.0, 1.0), limits=(-3.0, 3.0))
     world = World(PHYSICS_MODES["fast"])
-    body = world.add(BodySpec("body", CUBE.pieces, mass, hinges=(weights,)), Pose((0.0, 0.0, 0.5)))
+    body = world.add(BodySpec("body", CUBE.pieces, mass, parts=(weights,)), Pose((0.0, 0.0, 0.5)))
     own = 0.2 * 0.02**2 / 6.0
     info = world.client.getDynamicsInfo(body.id, 0)
     assert sorted(info[2]) == pytest.approx([own, own + 0.2 * 0.01, own + 0.2 * 0.01], rel=1e-4)

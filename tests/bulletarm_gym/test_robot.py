@@ -2,14 +2,17 @@
 
 import itertools
 import math
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 from rollouts import PICKING, TYPICAL, finish, step_on
+from scipy.spatial.transform import Rotation
 
 from bulletarm_gym.check.robot import TILT, grid
 from bulletarm_gym.config import WORKSPACES
-from bulletarm_gym.geometry import Pose, as_rotvec, euler_pose, wrap_angle
+from bulletarm_gym.geometry import Pose, euler_pose, wrap_angle
 from bulletarm_gym.robots import ROBOTS, OutOfReachError
 from bulletarm_gym.robots.kinematics import POSITION_TOLERANCE
 from bulletarm_gym.simulation.motion import interpolate_path
@@ -43,8 +46,8 @@ def robot(armed):
 
 def far(first, second):
     """Return the distance (m) or the angle (rad) between two poses, whichever is larger."""
-    change = first.inverse().compose(second)
-    return max(math.dist(first.position, second.position), math.hypot(*as_rotvec(change.orientation)))
+    start, end = (Rotation.from_quat(pose.orientation) for pose in (first, second))
+    return max(math.dist(first.position, second.position), (start.inv() * end).magnitude())
 
 
 def reached(model, heights, control, tilt=0.0):
@@ -232,3 +235,13 @@ def test_torques_agree_with_the_simulator(armed, robot):
         expected = world.client.calculateInverseDynamics(robot.body.id, *(part.tolist() for part in motion))
         torques = robot.dynamics.torques(*(part[slots] for part in motion))
         assert torques == pytest.approx(np.array(expected)[slots], abs=0.1)
+
+
+PAGE = Path(__file__).parents[2] / "docs" / "guides" / "robot.md"
+
+
+def test_the_page_names_members_of_the_robot(make):
+    robot = make(PICKING).scene.robot
+    table = PAGE.read_text(encoding="utf-8").partition("| member of `scene.robot` |")[2].partition("\n\n")[0]
+    names = [name for row in table.splitlines()[2:] for name in re.findall(r"`(\w+)", row.split("|")[1])]
+    assert len(names) > 5 and [name for name in names if not hasattr(robot, name)] == []

@@ -285,4 +285,4 @@ def test_names_of_joints_may_have_quotes():
     name = """the "arm's" joint"""
     joints = (*KUKA.joints[:2], name, *KUKA.joints[3:])
     model = changed_kuka(put(KUKA.joints[2], "", name=name), joints=joints)
-    assert model.joints == joints and len(model.chain.axes) == 7
+    assert model.joints == joints and len(model.chain.frames[2]) == 7
