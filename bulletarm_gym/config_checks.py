@@ -155,8 +155,8 @@ def instance(*kinds: type) -> Check:
     return rule(f"an instance of {names}", lambda value: isinstance(value, kinds), lambda value: value)
 
 
-def instances(kind: type, names: str, can_be_empty: bool = True) -> Check:
-    """Accept a tuple or list of instances of a class, and return a tuple.
+def instances(kind: type | tuple[type, ...], names: str, can_be_empty: bool = True) -> Check:
+    """Accept a tuple or list of instances of one or several classes, and return a tuple.
 
     :param names: name of several instances
     """

@@ -169,9 +169,9 @@ class BodySpec:
     is_mark: bool = False
 
     def __post_init__(self) -> None:
-        parts = {"slides": instances(Slide, "slides"), "hinges": instances(Hinge, "hinges")}
+        checks = {"pieces": PIECES, "parts": instances((Slide, Hinge), "slides and hinges"), "colour": colour}
         numbers = amounts("mass", *FRICTIONS, "angular_damping")
-        check_fields(self, {"pieces": PIECES, **parts, **numbers, "colour": colour}, f" of {self.name!r}")
+        check_fields(self, {**checks, **numbers}, f" of {self.name!r}")
 
     @cached_property
     def mesh(self) -> Mesh:

@@ -14,11 +14,10 @@ from bulletarm_gym.control import DeltaMove, GraspParams
 from bulletarm_gym.demonstrations import Demonstrations, export_lerobot, export_minari, export_rlds
 from bulletarm_gym.demonstrations.robomimic import export_robomimic
 from bulletarm_gym.geometry import Pose
-from bulletarm_gym.objects import BodySpec, Box, Piece
 from bulletarm_gym.real_arm import open_loop_heightmap
 from bulletarm_gym.robots import KUKA, ParallelJaw, attach
 from bulletarm_gym.scene import ObjectSlot
-from bulletarm_gym.simulation.shapes import Slide
+from bulletarm_gym.simulation import BodySpec, Box, Piece, Slide
 from bulletarm_gym.tasks import Waypoint
 from bulletarm_gym.tasks.picking import BlockPicking
 from bulletarm_gym.vector import reset_to_states
