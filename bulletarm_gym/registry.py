@@ -3,6 +3,7 @@
 import importlib
 import json
 import os
+import sys
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -46,7 +47,7 @@ def load(path: str) -> Any:
 def import_path(component: Any) -> str:
     """Return the path ``"module:attribute"`` under which a class or function can be imported.
 
-    A path in ``__main__``, such as that of a class in a notebook, is valid in this process only.
+    A class in an interactive session, such as a notebook, has a path that is valid in this process only.
 
     :raises ValueError: no such path exists, with the reason
     """
@@ -59,6 +60,8 @@ def import_path(component: Any) -> str:
     if "<lambda>" in name or "<locals>" in name:
         reason = "a lambda" if "<lambda>" in name else "local to a function"
         raise ValueError(f"{name} cannot be imported: it is {reason}. Define it at the top level of a module")
+    if module == "__main__" and not hasattr(sys, "ps1"):
+        raise ValueError(f"{name} cannot be imported by workers: it is in __main__. Move it to a module")
     path = f"{module}:{name}"
     if load(path) is not component:
         raise ValueError(f"importing {path!r} returns another object")

@@ -201,6 +201,13 @@ from my_parts import Picking
 class Mine(Picking):
     pass
 
+try:
+    bulletarm_gym.register_task("Mine", Mine)
+except ValueError as error:
+    assert "Mine" in str(error) and "__main__" in str(error)
+else:
+    raise AssertionError
+sys.ps1 = ">>> "  # as in an interactive session
 env = gymnasium.make(bulletarm_gym.register_task("Mine", Mine), obs_size=16)
 env.reset(seed=0)
 sys.stdout.buffer.write(pickle.dumps(env.unwrapped))
@@ -208,7 +215,7 @@ sys.stdout.buffer.write(pickle.dumps(env.unwrapped))
 
 
 def test_components_of_a_notebook_work_in_their_process():
-    """Components of ``__main__`` are usable there; another process raises an error with the reason."""
+    """A script's components and another process raise an error with the reason."""
     child = subprocess.run([sys.executable, "-c", NOTEBOOK], capture_output=True, check=True, cwd=HERE)
     with pytest.raises(ValueError, match=r"'__main__:Mine' cannot be imported.*Define it in a module"):
         pickle.loads(child.stdout)
