@@ -114,6 +114,12 @@ def add_key_values(parser: argparse.ArgumentParser, *flags: str, **kwargs: Any) 
     parser.add_argument(*flags, nargs="+", action=KeyValues, default={}, metavar="KEY:VALUE", **kwargs)
 
 
+def add_run_filters(parser: argparse.ArgumentParser) -> None:
+    """Add the flags that select runs of a folder."""
+    parser.add_argument("--seed", nargs="+", type=seed, help="seeds of the runs (default: all)")
+    parser.add_argument("--device", help="runs with this --device (default: all)")
+
+
 def add_progress(parser: argparse.ArgumentParser) -> None:
     """Add the flags for progress bars."""
     on_off, text = argparse.BooleanOptionalAction, "show a progress bar (default: on a terminal)"

@@ -12,6 +12,7 @@ from zoo_configs.arguments import (
     add_env_kwargs,
     add_packages,
     add_progress,
+    add_run_filters,
     positive_int,
     positive_number,
     seed,
@@ -214,6 +215,7 @@ def parse_plot(argv: Sequence[str]) -> argparse.Namespace:
     add("-f", "--log-folder", type=Path, default=Path("logs"), help="folder of all runs (default: logs)")
     add("-o", "--output", type=Path, help=f"{kinds} file to write (default: a .png in the log folder)")
     add("--training", action="store_true", help="draw critic values and policy entropy instead")
+    add_run_filters(parser)
     args = parser.parse_args(argv)
     if args.output is not None and args.output.suffix not in PLOT_SUFFIXES:
         parser.error(f"--output must end in {kinds}, got {args.output}")
@@ -232,7 +234,9 @@ def parse_demos(argv: Sequence[str]) -> argparse.Namespace:
     add("-n", "--episodes", type=positive_int, default=100, help="successful episodes (default: 100)")
     add("--planner", default="waypoint", help="waypoint (default) or deconstruction")
     add("--seed", type=seed, default=0, help="seed of the collection (default: 0)")
-    add("-o", "--output", type=Path, help="file to write (default: ENV-PLANNER.h5)")
+    add("-o", "--output", type=Path, help="file to write (default: ENV-PLANNER.h5 in the log folder)")
+    add("-f", "--log-folder", type=Path, default=Path(), help="folder of the file (default: this one)")
+    add("--device", help="accepted as by the other commands, without effect: experts do not use PyTorch")
     add_env_kwargs(parser)
     add_packages(parser)
     add_progress(parser)
@@ -247,12 +251,17 @@ def parse_list(argv: Sequence[str]) -> argparse.Namespace:
     List environments.
 
     --env lists the spaces and parameters of one environment, --baselines the baselines and presets of train,
-    --published the published agents.
+    --published the published agents, and --log-folder the evaluated runs of a folder.
     """
     parser = _parser(parse_list)
     add = parser.add_argument
     add("--env", help="id of an environment, to list its parameters and defaults")
     add("--baselines", action="store_true", help="list baselines and presets")
     add("--published", action="store_true", help="list the published agents")
+    add("-f", "--log-folder", type=Path, help="folder of all runs, to list its runs")
+    add_run_filters(parser)
     add_packages(parser)
-    return parser.parse_args(argv)
+    args = parser.parse_args(argv)
+    if args.log_folder is None and (args.seed is not None or args.device is not None):
+        parser.error("--seed and --device need --log-folder")
+    return args

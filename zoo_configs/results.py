@@ -72,7 +72,11 @@ class ExperimentResults:
 
 
 def read_experiments(
-    log_folder: Path, env_ids: Sequence[str] | None = None, baselines: Sequence[str] | None = None
+    log_folder: Path,
+    env_ids: Sequence[str] | None = None,
+    baselines: Sequence[str] | None = None,
+    seeds: Sequence[int] | None = None,
+    device: str | None = None,
 ) -> list[ExperimentResults]:
     """
     Read the evaluated runs in a folder, and group them by experiment.
@@ -81,6 +85,8 @@ def read_experiments(
 
     :param env_ids: Ids of environments, None for all
     :param baselines: Baselines, None for all
+    :param seeds: Seeds, None for all
+    :param device: Value of ``--device`` of the runs, None for all
     :return: The experiments, sorted by environment and label
     :raises CommandError: if no run fits
     """
@@ -88,10 +94,11 @@ def read_experiments(
     for run in find_runs(log_folder):
         is_wanted = env_ids is None or run.experiment.env_id in env_ids
         is_wanted &= baselines is None or run.experiment.baseline in baselines
+        is_wanted &= (seeds is None or run.seed in seeds) and device in (None, run.device)
         if is_wanted and run.evaluations_file.is_file():
             groups[json.dumps(settings_of(run), default=str)].append(run)
     if not groups:
-        must = "a folder with evaluated runs of these environments and baselines"
+        must = "a folder with evaluated runs that match the other flags"
         raise CommandError(f"--log-folder must be {must}, got {log_folder}")
     settings = [settings_of(runs[0]) for runs in groups.values()]
     pairs = zip(settings, groups.values(), strict=True)
@@ -138,13 +145,14 @@ def interquartile_mean(values: Sequence[float]) -> float:
 def experiment_row(experiment: ExperimentResults) -> list[str]:
     """Return the row of an experiment with the columns ``HEADS``."""
     results, success = experiment.results.values(), experiment.success
-    minutes = [result.origin.minutes for result in results if result.origin.minutes is not None]
+    done = [result.origin for result in results if result.is_done]
+    minutes = [origin.minutes for origin in done if origin.minutes is not None]
     return [
         task_name(experiment.env_id),
         experiment.label,
         f"{np.mean(list(success.values())):.2f}",
         _listed(success),
-        f"{sum(result.is_done for result in results)} of {len(results)}",
+        f"{len(done)} of {len(results)}",
         str(max(result.steps for result in results)),
         f"{np.mean(minutes):.1f}" if minutes else "",
     ]

@@ -33,12 +33,13 @@ def train(folder, data, *more):
 def test_a_file_is_written_and_named(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     words = ["--env", "BulletArm/OpenLoopBlockStacking-v0", "--planner", "deconstruction", "-n", "1"]
-    assert main(["demos", *words, "--env-kwargs", "num_objects:2"]) == 0
+    words += ["-f", "files", "--env-kwargs", "num_objects:2"]
+    assert main(["demos", *words]) == 0
     printed, name = capsys.readouterr().out, "OpenLoopBlockStacking-v0-deconstruction.h5"
     assert "1 of 1 attempts succeeded, mean_length=2.00" in printed
-    assert printed.endswith(f"Written:\n  {name}\n")
-    assert [path.name for path in tmp_path.iterdir()] == [name]
-    assert len(load(name)[0]) == 2
+    assert printed.endswith(f"Written:\n  files/{name}\n")
+    assert [path.name for path in (tmp_path / "files").iterdir()] == [name]
+    assert len(load(tmp_path / "files" / name)[0]) == 2
 
 
 def test_a_training_starts_with_the_file_and_resumes_without_it(picking, tmp_path, capsys):

@@ -169,6 +169,20 @@ def test_plot_writes_figure_and_tables(folder, capsys, refuse):
     assert str(evaluations) in refuse("plot", "-f", str(folder))
 
 
+def test_seed_and_device_select_runs(folder, capsys, refuse):
+    def listed(*words):
+        assert main(["list", "-f", str(folder), *words]) == 0
+        return [line.split() for line in capsys.readouterr().out.splitlines()[1:]]
+
+    assert len(listed()) == 8 and listed("--device", "cpu") == listed()
+    rows = listed("--env", PICKING, "--seed", "1")
+    assert rows[0][:4] == ["CloseLoopBlockPicking", "equi_sacfd", "1", "0.75"] and len(rows) == 2
+    assert main(["plot", "-f", str(folder), "--seed", "1"]) == 0
+    assert "1: 0.75" in (printed := capsys.readouterr().out) and "0: 1.00" not in printed
+    assert str(folder) in refuse("plot", "-f", str(folder), "--device", "cuda")
+    assert "--log-folder" in refuse("list", "--seed", "1")
+
+
 def test_returns_and_failed_runs_are_in_the_table(tmp_path):
     run = add_run(tmp_path, REACHING, "sacfd", 0, GOOD)
     np.savez(run.evaluations_file, timesteps=[10], results=[[3.0, 5.0]])

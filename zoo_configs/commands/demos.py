@@ -1,7 +1,6 @@
 """``bulletarm-zoo demos``: collects demonstrations of an expert."""
 
 import argparse
-from pathlib import Path
 from statistics import fmean
 
 from bulletarm_gym.demonstrations import collect
@@ -14,7 +13,7 @@ def main(args: argparse.Namespace) -> None:
     """Run the command."""
     register_environments(args.gym_packages)
     env_id = known_env_id(args.env)
-    path = args.output or Path(f"{env_id.rpartition('/')[2]}-{args.planner}.h5")
+    path = args.output or args.log_folder / f"{env_id.rpartition('/')[2]}-{args.planner}.h5"
     check_writable(path, "--output")
     try_env(env_id, args.env_kwargs)
     settings = {"seed": args.seed, "env_kwargs": args.env_kwargs, "path": path, "progress": args.progress}

@@ -1,4 +1,4 @@
-"""``bulletarm-zoo list``: environments, the parameters of one, baselines and presets, or published agents."""
+"""``bulletarm-zoo list``: environments, the parameters of one, baselines and presets, agents, or runs."""
 
 import argparse
 from collections import defaultdict
@@ -9,14 +9,17 @@ import gymnasium as gym
 
 from zoo_configs.drawing.tables import print_table
 from zoo_configs.environments import known_env_id, make_env, our_env_ids, register_environments
-from zoo_configs.experiments.families import families
+from zoo_configs.experiments.families import families, task_name
 from zoo_configs.publishing.published import published_agents
+from zoo_configs.results import read_experiments
 
 
 def main(args: argparse.Namespace) -> None:
     """Run the command."""
     register_environments(args.gym_packages)
-    if args.published:
+    if args.log_folder is not None:
+        _list_runs(args)
+    elif args.published:
         _list_published()
     elif args.baselines:
         _list_baselines()
@@ -51,6 +54,20 @@ def _list_baselines() -> None:
         rows = [[name, row.learner, row.network, ", ".join(row.additions)] for name, row in baselines]
         print_table(["baseline", "learner", "network", "additions"], rows, wrap=True)
         print()
+
+
+def _list_runs(args: argparse.Namespace) -> None:
+    """Print the runs of a folder with their last evaluations."""
+    env_ids = None if args.env is None else [known_env_id(args.env)]
+    rows = []
+    for experiment in read_experiments(args.log_folder, env_ids, None, args.seed, args.device):
+        for seed, result in experiment.results.items():
+            state = "done" if result.is_done else "not done"
+            figures = [str(seed), f"{result.success:.2f}", str(result.steps), state, result.run.device]
+            folder = result.run.folder.relative_to(args.log_folder)
+            rows.append([task_name(experiment.env_id), experiment.label, *figures, str(folder)])
+    heads = ["task", "baseline", "seed", "success", "steps", "state", "device", "folder"]
+    print_table(heads, rows)
 
 
 def _list_published() -> None:
