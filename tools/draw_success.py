@@ -20,7 +20,7 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, required=True, help="PNG file to write")
     args = parser.parse_args()
     rows = [row for row in DataFile(DATA / "results.csv", ()).read() if row["env"].startswith(args.control)]
-    rows = [row for row in rows if row["preset"] == "cpu" and row["last"] and not row["earlier"]]
+    rows = [row for row in rows if row["preset"] == "cpu" and row["last"]]
     tasks = {row["env"]: [one for one in rows if one["env"] == row["env"]] for row in rows}
     figure = Figure(figsize=(5.2, 0.9 + 0.24 * len(tasks)), layout="constrained")
     axes = figure.subplots()

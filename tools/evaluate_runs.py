@@ -19,7 +19,7 @@ from zoo_configs.experiments.config import ExperimentConfig, resolve
 from zoo_configs.experiments.families import task_name
 from zoo_configs.training.runs import Run, load_run, origin_of
 
-KEY = ("env", "options", "baseline", "preset", "seed", "earlier")
+KEY = ("env", "options", "baseline", "preset", "seed")
 OVERRIDES = ("--env-kwargs", "-params")
 """Last flags of a training's command line."""
 
@@ -60,7 +60,6 @@ def row(run: Run, args: argparse.Namespace, rates: Row) -> Row:
         "baseline": run.experiment.label,
         "preset": run.experiment.preset or "",
         "seed": str(run.seed),
-        "earlier": "",
         "demonstrations": str(hyperparams.get("expert_episodes", 0)),
         "noise": str(hyperparams.get("expert_noise", "")),
         "dagger": "yes" if hyperparams.get("dagger") else "",

@@ -139,17 +139,17 @@ RESULT_HEADS = (
     *("task", "baseline", "demonstrations, updates on them, steps", "seeds", "best", "last"),
     *("range in the second half", "minutes", "commit, date"),
 )
-TRAINING = ("env", "options", "baseline", "demonstrations", "noise", "dagger", "updates", "steps", "earlier")
+TRAINING = ("env", "options", "baseline", "demonstrations", "noise", "dagger", "updates", "steps")
 """Columns that runs with different seeds share."""
 
 
 def results_table(source: Source, preset: str, tasks: str) -> str:
-    """Return the results of runs; seeds share a row, earlier measurements come last."""
+    """Return the results of runs; seeds share a row."""
     trainings: dict[tuple[str, ...], list[Row]] = {}
     for run in source.read("results"):
         if run["preset"] == preset and fnmatchcase(run["env"], tasks):
             trainings.setdefault(tuple(run[name] for name in TRAINING), []).append(run)
-    in_order = sorted(trainings.values(), key=lambda runs: (runs[0]["earlier"], runs[0]["env"]))
+    in_order = sorted(trainings.values(), key=lambda runs: runs[0]["env"])
     lines = [_result(sorted(runs, key=lambda run: int(run["seed"]))) for runs in in_order]
     return markdown_table(RESULT_HEADS, lines, text_columns=4)
 
@@ -158,7 +158,7 @@ def results_summary(source: Source) -> str:
     """Return the success rate of each task's last agent with the preset ``cpu``."""
     runs_of: dict[str, list[Row]] = {}
     for run in source.read("results"):
-        if run["preset"] == "cpu" and not run["earlier"] and "--benchmark" not in run["options"]:
+        if run["preset"] == "cpu" and "--benchmark" not in run["options"]:
             runs_of.setdefault(run["env"], []).append(run)
     lines, rates = [], []
     for task, runs in sorted(runs_of.items()):
@@ -201,8 +201,7 @@ def _mean(rates: Sequence[float]) -> str:
 
 
 def _date(run: Row) -> str:
-    parts = run["commit"], run["date"], "earlier" if run["earlier"] else ""
-    return ", ".join(part for part in parts if part)
+    return ", ".join(part for part in (run["commit"], run["date"]) if part)
 
 
 FIGURES: dict[str, Callable[[Source], str]] = {
