@@ -1,10 +1,5 @@
 """The scene: its objects, predicates on them, and sampling of free poses."""
 
-from bulletarm_gym.scene.scene import (
-    ObjectSlot as ObjectSlot,
-    Scene as Scene,
-    SceneObject as SceneObject,
-    cached_by_pose as cached_by_pose,
-    scaled as scaled,
-    shaped as shaped,
-)
+from bulletarm_gym.scene.scene import ObjectSlot, Scene, SceneObject, cached_by_pose, scaled, shaped
+
+__all__ = ["ObjectSlot", "Scene", "SceneObject", "cached_by_pose", "scaled", "shaped"]

@@ -1,13 +1,8 @@
 """Surfaces: the ground of a workspace."""
 
-from bulletarm_gym.surfaces.bump import BumpSurface as BumpSurface
-from bulletarm_gym.surfaces.ramp import RampSurface as RampSurface
-from bulletarm_gym.surfaces.surface import (
-    FlatSurface as FlatSurface,
-    Point as Point,
-    Surface as Surface,
-    TraySurface as TraySurface,
-)
+from bulletarm_gym.surfaces.bump import BumpSurface
+from bulletarm_gym.surfaces.ramp import RampSurface
+from bulletarm_gym.surfaces.surface import FlatSurface, Point, Surface, TraySurface
 
 SURFACES: dict[str, type[Surface]] = {
     "flat": FlatSurface,
@@ -16,3 +11,13 @@ SURFACES: dict[str, type[Surface]] = {
     "bump": BumpSurface,
 }
 """Built-in surfaces by name."""
+
+__all__ = [
+    "SURFACES",
+    "BumpSurface",
+    "FlatSurface",
+    "Point",
+    "RampSurface",
+    "Surface",
+    "TraySurface",
+]

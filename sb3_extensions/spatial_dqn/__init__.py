@@ -1,15 +1,22 @@
 """Deep Q-learning over spatial action maps, from demonstrations."""
 
 from sb3_extensions.spatial_dqn.policies import (
-    ASRPolicy as ASRPolicy,
-    EquivariantASRPolicy as EquivariantASRPolicy,
-    EquivariantFCNPolicy as EquivariantFCNPolicy,
-    FCNPolicy as FCNPolicy,
-    RotFCNPolicy as RotFCNPolicy,
+    ASRPolicy,
+    EquivariantASRPolicy,
+    EquivariantFCNPolicy,
+    FCNPolicy,
+    RotFCNPolicy,
 )
-from sb3_extensions.spatial_dqn.spatial_dqn import (
-    ADET as ADET,
-    DQfD as DQfD,
-    SDQfD as SDQfD,
-    SpatialDQN as SpatialDQN,
-)
+from sb3_extensions.spatial_dqn.spatial_dqn import ADET, DQfD, SDQfD, SpatialDQN
+
+__all__ = [
+    "ADET",
+    "ASRPolicy",
+    "DQfD",
+    "EquivariantASRPolicy",
+    "EquivariantFCNPolicy",
+    "FCNPolicy",
+    "RotFCNPolicy",
+    "SDQfD",
+    "SpatialDQN",
+]
