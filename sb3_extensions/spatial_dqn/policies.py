@@ -86,7 +86,7 @@ class SpatialPolicy(BasePolicy):
         optimizer_class: type[th.optim.Optimizer] = th.optim.Adam,
         optimizer_kwargs: dict[str, Any] | None = None,
     ) -> None:
-        decay = {"weight_decay": WEIGHT_DECAY} if issubclass(optimizer_class, th.optim.Adam) else {}
+        decay = {"weight_decay": WEIGHT_DECAY} if optimizer_class is th.optim.Adam else {}
         super().__init__(
             observation_space,
             action_space,
