@@ -44,6 +44,8 @@ PLAN_STEPS = 10
 """Number of closed-loop steps in which a pick-and-place plan samples the same values and does not change."""
 KEPT = ("action_space", "observation_space", "_np_random", "_np_random_seed")
 """Attributes with generators or seeds, which copies of an environment keep."""
+OVERLAYS = instances(Overlay, "overlays")
+"""Check of what a task draws into the heightmap."""
 
 
 class ManipulationEnv(gymnasium.Env[Observation, Action]):
@@ -258,8 +260,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     def look(self) -> View:
         """Return the current view of the scene from above."""
         self.scene.world.check_open()
-        marks = instances(Overlay, "overlays")
-        overlays = check_argument("overlays()", self.task.overlays(self.scene), marks)
+        overlays = check_argument("overlays()", self.task.overlays(self.scene), OVERLAYS)
         return View(self.scene, self.control.frame(), overlays, self._episode.measure)
 
     def decode_action(self, action: ArrayLike) -> Any:

@@ -47,7 +47,7 @@ def load(path: str) -> Any:
 def import_path(component: Any) -> str:
     """Return the path ``"module:attribute"`` under which a class or function can be imported.
 
-    A class in an interactive session, such as a notebook, has a path that is valid in this process only.
+    A path in ``__main__``, such as that of a class in a notebook, is valid in this process only.
 
     :raises ValueError: no such path exists, with the reason
     """
@@ -60,11 +60,20 @@ def import_path(component: Any) -> str:
     if "<lambda>" in name or "<locals>" in name:
         reason = "a lambda" if "<lambda>" in name else "local to a function"
         raise ValueError(f"{name} cannot be imported: it is {reason}. Define it at the top level of a module")
-    if module == "__main__" and not hasattr(sys, "ps1"):
-        raise ValueError(f"{name} cannot be imported by workers: it is in __main__. Move it to a module")
     path = f"{module}:{name}"
     if load(path) is not component:
         raise ValueError(f"importing {path!r} returns another object")
+    return path
+
+
+def registered_path(component: Any) -> str:
+    """Return the import path of a component to register, see :func:`import_path`.
+
+    :raises ValueError: no such path exists, or it is in the script that runs, except in interactive sessions
+    """
+    path = import_path(component)
+    if path.startswith("__main__:") and not hasattr(sys, "ps1"):
+        raise ValueError(f"{path!r} cannot be imported by other processes. Move it to a module")
     return path
 
 
@@ -111,7 +120,7 @@ class Registry:
             raise ValueError(f"name must be an identifier, got {name!r}")
         if name in self.builtin:
             raise ValueError(f"name must be unused, got {name!r}, a built-in {self.kind}")
-        path = import_path(component)
+        path = registered_path(component)
         if self.paths.setdefault(name, path) != path:
             raise ValueError(f"name must be unused, got {name!r}, the name of {self.paths[name]}")
         _publish(self.kind, name, path)
@@ -360,7 +369,7 @@ def register_task(name: str, task: Any, control: str = "close_loop", surface: st
         if chosen not in registry.names:
             raise ParameterError.of(registry.kind, chosen, f"one of {', '.join(map(repr, registry.names))}")
     recipe = by_path({"control": control, "surface": surface})
-    entry = Entry(_prefix(control, surface) + name, import_path(task), **recipe)
+    entry = Entry(_prefix(control, surface) + name, registered_path(task), **recipe)
     task_type, control_type = find_combination(entry.task, entry.control)
     config = importlib.import_module("bulletarm_gym.config")  # which imports this module
     components = (control_type.kind, task_type.defaults, entry.surface, control_type.sequences)

@@ -236,7 +236,7 @@ def parse_demos(argv: Sequence[str]) -> argparse.Namespace:
     add("--seed", type=seed, default=0, help="seed of the collection (default: 0)")
     add("-o", "--output", type=Path, help="file to write (default: ENV-PLANNER.h5 in the log folder)")
     add("-f", "--log-folder", type=Path, default=Path(), help="folder of the file (default: this one)")
-    add("--device", help="accepted as by the other commands, without effect: experts do not use PyTorch")
+    add("--device", default="auto", help="PyTorch device; it is only checked, as experts do not use PyTorch")
     add_env_kwargs(parser)
     add_packages(parser)
     add_progress(parser)

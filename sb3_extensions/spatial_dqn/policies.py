@@ -257,12 +257,11 @@ class ASRPolicy(SpatialPolicy):
         output_gain: float = 1.0,
     ) -> tuple[PixelMaps, list[Level]]:
         """:return: level of the pixel, further levels"""
-        widths: tuple[Any, ...] = (channels, in_hand_channels, 1, output_gain)
-        pixels = PlainPixelMaps(view.size, view.in_hand_shape, *widths)
+        images = (view.size, view.in_hand_shape)
+        pixels = PlainPixelMaps(*images, channels, in_hand_channels, output_gain=output_gain)
         names, encoding = list(self.codec.grids), pixels.encoding_shape
         if names == ["theta"]:
-            widths = (in_hand_channels, hidden, output_gain)
-            return pixels, [PlainRotations(self.codec, view, encoding, *widths)]
+            return pixels, [PlainRotations(self.codec, view, encoding, in_hand_channels, hidden, output_gain)]
         widths = (patch_channels, patch_hidden, output_gain)
         return pixels, [PlainLevel(self.codec, name, view, encoding, *widths) for name in names]
 

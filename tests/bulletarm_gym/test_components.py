@@ -201,12 +201,18 @@ from my_parts import Picking
 class Mine(Picking):
     pass
 
-try:
-    bulletarm_gym.register_task("Mine", Mine)
-except ValueError as error:
-    assert "Mine" in str(error) and "__main__" in str(error)
-else:
-    raise AssertionError
+def half(scene, outcome):
+    return 0.5
+
+for component in (Mine, "__main__:Mine"):
+    try:
+        bulletarm_gym.register_task("Mine", component)
+    except ValueError as error:
+        assert "__main__:Mine" in str(error)
+    else:
+        raise AssertionError
+with gymnasium.make("BulletArm/CloseLoopBlockPicking-v0", reward=half) as env:
+    assert env.spec.kwargs["reward"] == "__main__:half"
 sys.ps1 = ">>> "  # as in an interactive session
 env = gymnasium.make(bulletarm_gym.register_task("Mine", Mine), obs_size=16)
 env.reset(seed=0)

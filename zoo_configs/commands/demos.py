@@ -4,6 +4,7 @@ import argparse
 from statistics import fmean
 
 from bulletarm_gym.demonstrations import collect
+from zoo_configs.arguments import check_device
 from zoo_configs.environments import known_env_id, register_environments, try_env
 from zoo_configs.errors import refused
 from zoo_configs.files import check_writable, print_written
@@ -11,6 +12,7 @@ from zoo_configs.files import check_writable, print_written
 
 def main(args: argparse.Namespace) -> None:
     """Run the command."""
+    check_device(args.device)
     register_environments(args.gym_packages)
     env_id = known_env_id(args.env)
     path = args.output or args.log_folder / f"{env_id.rpartition('/')[2]}-{args.planner}.h5"

@@ -11,7 +11,6 @@ from zoo_configs.drawing.tables import print_table
 from zoo_configs.environments import known_env_id, make_env, our_env_ids, register_environments
 from zoo_configs.experiments.families import families, task_name
 from zoo_configs.publishing.published import published_agents
-from zoo_configs.results import read_experiments
 
 
 def main(args: argparse.Namespace) -> None:
@@ -58,6 +57,8 @@ def _list_baselines() -> None:
 
 def _list_runs(args: argparse.Namespace) -> None:
     """Print the runs of a folder with their last evaluations."""
+    from zoo_configs.results import read_experiments  # imports pandas and SciPy
+
     env_ids = None if args.env is None else [known_env_id(args.env)]
     rows = []
     for experiment in read_experiments(args.log_folder, env_ids, None, args.seed, args.device):
