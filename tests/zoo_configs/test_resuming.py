@@ -1,5 +1,6 @@
 """Resuming of runs, and loading of models."""
 
+import shlex
 import shutil
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from sb3_extensions.sacfd import SACfD
 from zoo_configs.agents import algorithm_of
 from zoo_configs.algorithms import algorithm_classes
 from zoo_configs.cli import main
+from zoo_configs.training import options
 from zoo_configs.training.runs import load_run
 
 STACKING = "BulletArm/OpenLoopBlockStacking-v0"
@@ -103,6 +105,33 @@ def test_training_starts_from_a_model_with_other_hyperparameters(train_tiny, run
         assert train_tiny(tmp_path / "other", "-i", model, "--baseline", baseline) == 2
         assert wanted in capsys.readouterr().err
     assert not (tmp_path / "other").exists()
+
+
+def test_ctrl_c_prints_the_command_that_resumes(train_tiny, tmp_path, monkeypatch, capsys):
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("zoo_configs.training.trainer.save_checkpoint", stop)  # after the last step
+        assert train_tiny(tmp_path / "a log", "n_envs:1", "--preset", "quick") == 130
+        [line] = [line for line in capsys.readouterr().out.splitlines() if "--resume" in line]
+        assert train_tiny(tmp_path / "early", "n_envs:1", "--preset", "quick", "--save-freq", "100") == 130
+        assert "--resume" not in capsys.readouterr().out
+    assert main(shlex.split(line.partition("bulletarm-zoo ")[2])) == 0
+
+
+def test_a_run_is_read_without_its_first_model(train_tiny, run_folder, tmp_path, monkeypatch, refuse):
+    """And without TensorBoard."""
+    shutil.copy(run_folder / "best_model.zip", model := tmp_path / "start.zip")
+    assert train_tiny(tmp_path / "logs", "n_envs:1", "--preset", "quick", "-i", str(model)) == 0
+    model.unlink()
+    run = tmp_path / "logs" / "sacfd" / RUN_NAME
+    assert main(["train", "--resume", str(run), "-n", "18", "--no-progress"]) == 0
+    text = run.joinpath("hyperparams.yml").read_text()
+    run.joinpath("hyperparams.yml").write_text(text.replace("tensorboard_log: ''", "tensorboard_log: folder"))
+    monkeypatch.setattr(options, "find_spec", lambda name: None)
+    assert main(["enjoy", str(run), "-n", "1", "--device", "cpu"]) == 0
+    assert "pip install tensorboard" in refuse("train", "--resume", str(run), "-n", "24")
 
 
 @pytest.mark.parametrize(
