@@ -280,13 +280,11 @@ def wrapped_expert(env: gymnasium.Env[Any, Any], expert: Callable[[], Any]) -> C
     inverses: list[Inverse] = []
     inner: Any = env
     frame = sys._getframe(1)
-    while frame is not None:
+    while frame is not None and frame.f_code.co_name == "get_wrapper_attr":
         caller = frame.f_locals.get("self")
         if isinstance(caller, gymnasium.Wrapper) and caller.env is inner:
             inverses += _inverses(caller)
             inner = caller
-        elif caller is not inner:
-            break
         frame = frame.f_back  # type: ignore[assignment]
 
     def act() -> Any:

@@ -30,8 +30,13 @@ MANIFEST, MODEL, REPLAY_BUFFER, STATE = "manifest.json", "model.zip", "replay_bu
 FORMAT = 6
 """Version of the format of a checkpoint."""
 PREFIX, TEMPORARY_PREFIX = "checkpoint_", ".incomplete_"
-WRAPPER_STATE = ("rewards", "_elapsed_steps")
-"""Attributes of ``Monitor`` and ``TimeLimit`` that change in an episode."""
+WRAPPER_STATE = (
+    *("rewards", "_elapsed_steps", "timesteps"),
+    *("observation_queue", "obs_queue", "padding_value"),
+    *("obs_rms", "return_rms", "discounted_reward"),
+    *("last_action", "is_sticky_actions", "num_repeats", "repeats_taken"),
+)
+"""Attributes of ``Monitor`` and of Gymnasium's wrappers that change in an episode."""
 VEC_WRAPPER_STATE = (
     *("episode_returns", "episode_lengths", "episode_count"),
     *("obs_rms", "ret_rms", "returns", "old_obs", "old_reward"),

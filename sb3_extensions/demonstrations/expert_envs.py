@@ -7,7 +7,6 @@ from typing import Any
 
 import gymnasium as gym
 from gymnasium import spaces
-from gymnasium.wrappers import RecordVideo
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import (
     DummyVecEnv,
@@ -23,8 +22,8 @@ from stable_baselines3.common.vec_env import (
 
 AnyEnv = gym.Env[Any, Any]
 
-RECORDERS = (Monitor, RecordVideo)
-"""Wrappers that write files of the training and are left out of a copy."""
+RECORDERS = {"Monitor", "RecordVideo", "RecordDemonstrations", "DataCollector"}
+"""Wrappers that write files of the training and are left out of a copy; the last is of Minari."""
 TRANSPARENT = (VecCheckNan, VecMonitor, VecNormalize, VecVideoRecorder)
 """Vector wrappers without an effect on the contents of the replay buffer."""
 INSTEAD = "Pass expert_data=collect_episodes(env, n), with env wrapped as the training environment."
@@ -34,7 +33,7 @@ def make_expert_envs(vec_env: VecEnv) -> list[tuple[VecEnv, int]]:
     """
     Create a vector environment with a copy of each different training environment.
 
-    Environments in this process are copied with all their wrappers except monitors and video recorders.
+    Environments in this process are copied with all their wrappers except :data:`RECORDERS`.
     Environments in other processes are created from their spec.
 
     :return: vector environments with one environment each, wrapped as ``vec_env``, and the number of training
@@ -83,10 +82,12 @@ def _copy(env: AnyEnv) -> AnyEnv:
 
 
 def _without_recorders(env: AnyEnv) -> AnyEnv:
-    if isinstance(env, RECORDERS):
-        return _without_recorders(env.env)
-    if isinstance(env, gym.Wrapper):
-        env.env = _without_recorders(env.env)
+    if not isinstance(env, gym.Wrapper):
+        return env
+    inner = _without_recorders(env.env)
+    if RECORDERS & {kind.__name__ for kind in type(env).__mro__}:
+        return inner
+    env.env = inner
     return env
 
 
@@ -94,8 +95,7 @@ def _from_spec(spec: Any) -> AnyEnv:
     """Create an environment with the wrappers of its spec."""
     if spec is None:
         raise ValueError(f"env must have a spec if it runs in another process, got None. {INSTEAD}")
-    recorders = {f"{kind.__module__}:{kind.__name__}" for kind in RECORDERS}
-    wrappers = tuple(entry for entry in spec.additional_wrappers if entry.entry_point not in recorders)
+    wrappers = tuple(entry for entry in spec.additional_wrappers if entry.name not in RECORDERS)
     kwargs = {name: value for name, value in spec.kwargs.items() if name != "render_mode"}
     try:
         return gym.make(dataclasses.replace(spec, kwargs=kwargs, additional_wrappers=wrappers))

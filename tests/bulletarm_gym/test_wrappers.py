@@ -134,6 +134,22 @@ def test_expert_names_the_wrapper_without_an_inverse(name):
     assert env.has_wrapper_attr("expert_action")
 
 
+class Residual(gymnasium.Wrapper):
+    """Adds actions to those of the expert."""
+
+    def step(self, action):
+        self.expected = self.unwrapped.expert_action()
+        self.found = self.env.get_wrapper_attr("expert_action")()
+        return self.env.step(np.clip(self.found + action, -1.0, 1.0))
+
+
+def test_a_wrapper_queries_the_expert_of_the_environment_inside():
+    env = wrapped(Residual, rescale)
+    env.reset(seed=3)
+    env.step(env.action_space.sample())
+    np.testing.assert_array_equal(env.get_wrapper_attr("found"), env.get_wrapper_attr("expected"))
+
+
 TASKS = ("BlockReaching", "BlockPushing", "BlockPulling", "BlockStacking")
 
 

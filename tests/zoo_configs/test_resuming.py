@@ -1,10 +1,12 @@
 """Resuming of runs, and loading of models."""
 
+import shlex
 import shutil
 from pathlib import Path
 
 import gymnasium as gym
 import pytest
+import yaml
 from sweeps import RUN_NAME, same
 
 from bulletarm_gym.demonstrations import collect
@@ -12,6 +14,7 @@ from sb3_extensions.sacfd import SACfD
 from zoo_configs.agents import algorithm_of
 from zoo_configs.algorithms import algorithm_classes
 from zoo_configs.cli import main
+from zoo_configs.training import options
 from zoo_configs.training.runs import load_run
 
 STACKING = "BulletArm/OpenLoopBlockStacking-v0"
@@ -34,7 +37,8 @@ def test_an_extended_run_equals_a_longer_one(train_tiny, tmp_path, capsys, refus
     assert train_tiny(tmp_path / "c", *constant, "-n", "18") == 0
     assert same(extended, longer) and same(damaged, longer)
     assert load_run(extended).options == load_run(longer).options
-    assert len({(run / "certificate.yml").read_text() for run in runs}) == 1
+    *shorter, whole = (yaml.safe_load((run / "certificate.yml").read_text())["checksums"] for run in runs)
+    assert all(rows and whole[: len(rows)] == rows for rows in shorter)
     for model in damaged.glob("checkpoints/*/model.zip"):
         model.write_bytes(b"")
     assert "model.zip" in refuse("train", "--resume", str(damaged), "-n", "24")
@@ -103,6 +107,33 @@ def test_training_starts_from_a_model_with_other_hyperparameters(train_tiny, run
         assert train_tiny(tmp_path / "other", "-i", model, "--baseline", baseline) == 2
         assert wanted in capsys.readouterr().err
     assert not (tmp_path / "other").exists()
+
+
+def test_ctrl_c_prints_the_command_that_resumes(train_tiny, tmp_path, monkeypatch, capsys):
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("zoo_configs.training.trainer.save_checkpoint", stop)  # after the last step
+        assert train_tiny(tmp_path / "a log", "n_envs:1", "--preset", "quick") == 130
+        [line] = [line for line in capsys.readouterr().out.splitlines() if "--resume" in line]
+        assert train_tiny(tmp_path / "early", "n_envs:1", "--preset", "quick", "--save-freq", "100") == 130
+        assert "--resume" not in capsys.readouterr().out
+    assert main(shlex.split(line.partition("bulletarm-zoo ")[2])) == 0
+
+
+def test_a_run_is_read_without_its_first_model(train_tiny, run_folder, tmp_path, monkeypatch, refuse):
+    """And without TensorBoard."""
+    shutil.copy(run_folder / "best_model.zip", model := tmp_path / "start.zip")
+    assert train_tiny(tmp_path / "logs", "n_envs:1", "--preset", "quick", "-i", str(model)) == 0
+    model.unlink()
+    run = tmp_path / "logs" / "sacfd" / RUN_NAME
+    assert main(["train", "--resume", str(run), "-n", "18", "--no-progress"]) == 0
+    text = run.joinpath("hyperparams.yml").read_text()
+    run.joinpath("hyperparams.yml").write_text(text.replace("tensorboard_log: ''", "tensorboard_log: folder"))
+    monkeypatch.setattr(options, "find_spec", lambda name: None)
+    assert main(["enjoy", str(run), "-n", "1", "--device", "cpu"]) == 0
+    assert "pip install tensorboard" in refuse("train", "--resume", str(run), "-n", "24")
 
 
 @pytest.mark.parametrize(

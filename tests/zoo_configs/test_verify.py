@@ -21,6 +21,14 @@ def test_a_repeated_training_has_the_checksums_of_the_run(run_folder, capsys):
     assert sorted(run_folder.rglob("*")) == before
 
 
+def test_a_longer_run_repeats_until_its_first_end(run_folder, tmp_path, capsys):
+    """Its learning rate depends on the number of time steps."""
+    copy = shutil.copytree(run_folder, tmp_path / "run")
+    assert main(["train", "--resume", str(copy), "-n", "30", "--no-progress"]) == 0
+    assert (copy / "certificate.yml").read_text() == (run_folder / "certificate.yml").read_text()
+    assert main(["verify", str(copy), "--no-progress"]) == 0
+
+
 @pytest.mark.parametrize("quantity", ["observations", "parameters", "replay_buffer"])
 def test_the_first_difference_and_other_versions_are_named(quantity, run_folder, tmp_path, refuse):
     copy = shutil.copytree(run_folder, tmp_path / "run")

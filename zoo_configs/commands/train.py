@@ -2,9 +2,11 @@
 
 import argparse
 import secrets
+import shlex
 from dataclasses import asdict, replace
 from pathlib import Path
 
+from sb3_extensions.common.checkpoint import latest_checkpoint
 from zoo_configs.arguments import MAX_SEED
 from zoo_configs.drawing.curves import draw_run
 from zoo_configs.environments import register_environments
@@ -30,7 +32,11 @@ def main(args: argparse.Namespace) -> None:
     try:
         _report(_resume(args) if args.resume else _begin(args))
     except TrainingInterrupted as stop:
-        print(f"Interrupted. To continue: bulletarm-zoo train --resume {stop.run.folder}")
+        if latest_checkpoint(stop.run.checkpoint_folder) is None:
+            print("Interrupted before the first checkpoint. The run cannot be resumed.")
+        else:
+            resume = shlex.join(["bulletarm-zoo", "train", "--resume", str(stop.run.folder)])
+            print(f"Interrupted. To continue: {resume}")
         _report(stop.run)
         raise
 

@@ -18,10 +18,9 @@ from zoo_configs.training.certificate import (
     Certificate,
     FirstUpdatesDone,
     Row,
+    certificate_of,
     first_difference,
-    read_certificate,
 )
-from zoo_configs.training.options import TrainingOptions
 from zoo_configs.training.runs import Run, load_run
 from zoo_configs.training.train import train_run
 
@@ -32,7 +31,9 @@ def main(args: argparse.Namespace) -> None:
         run, certificate = _of_published(args)
     else:
         run = load_run(args.path)
-        certificate = read_certificate(run.certificate)
+        certificate = certificate_of(run)
+    options = replace(run.options, **certificate["options"])
+    run = replace(run, device=certificate["device"], options=options)
     register_run(run)
     recorded = [row for row in certificate[CHECKSUMS] if row["updates"] <= args.updates]
     last = recorded[-1]["updates"]
@@ -52,9 +53,7 @@ def _of_published(args: argparse.Namespace) -> tuple[Run, dict[str, Any]]:
     if not card.certificate:
         raise CommandError(f"{card.folder} has no certificate")
     experiment = ExperimentConfig(card.algo, card.env, dict(card.hyperparams), baseline=card.baseline)
-    options = TrainingOptions(**card.certificate["options"])
-    device = card.certificate["device"]
-    run = Run(card.folder, experiment, card.seed, device, options, card.gym_packages)
+    run = Run(card.folder, experiment, card.seed, gym_packages=card.gym_packages)
     return run, dict(card.certificate)
 
 
@@ -62,9 +61,8 @@ def _repeat(run: Run, updates: int, progress: bool) -> Sequence[Row]:
     """Train the first updates of a run again, and return their checksums."""
     options = replace(run.options, eval_freq=0, save_freq=0, tensorboard_log="", track=False, verbose=0)
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "certificate.yml"
         again = replace(run, folder=Path(folder) / "run", options=options)
         with contextlib.suppress(FirstUpdatesDone):
-            train_run(again, [Certificate(path, updates)], progress, allow_mismatched_demos=True)
-        rows: Sequence[Row] = read_certificate(path)[CHECKSUMS]
+            train_run(again, [Certificate(again, updates)], progress, allow_mismatched_demos=True)
+        rows: Sequence[Row] = certificate_of(again)[CHECKSUMS]
         return rows

@@ -20,7 +20,7 @@ from zoo_configs.files import whole_file
 from zoo_configs.provenance import arithmetic, commit
 from zoo_configs.publishing.compact import save_compact
 from zoo_configs.publishing.published import FAILED, SUCCEEDED, Card
-from zoo_configs.training.certificate import read_certificate
+from zoo_configs.training.certificate import certificate_of
 from zoo_configs.training.runs import Run, day, env_folder_name, origin_of
 
 WRAPPERS = ("normalize", "frame_stack", "vec_env_wrapper", "env_wrapper")
@@ -140,7 +140,7 @@ def _card(agent: Agent, run: Run, options: EvalOptions, outcome: Outcome, file: 
         measured={"date": day(time.time()), **here},
         hyperparams=run.experiment.hyperparams,
         gym_packages=run.gym_packages,
-        certificate=_certificate(run),
+        certificate=certificate_of(run) if run.certificate.is_file() else {},
         folder=file.parent,
         **asdict(origin_of(run)),
     )
@@ -155,14 +155,6 @@ def _evaluations(run: Run) -> Mapping[str, Any]:
         "timesteps": curve.timesteps.tolist(),
         "success": [round(float(success), 4) for success in curve.success],
     }
-
-
-def _certificate(run: Run) -> Mapping[str, Any]:
-    """Return the checksums of a run, with the device and the options that they depend on; may be empty."""
-    if not run.certificate.is_file():
-        return {}
-    options = {name: getattr(run.options, name) for name in ("n_timesteps", "vec_env", "num_threads")}
-    return {**read_certificate(run.certificate), "device": run.device, "options": options}
 
 
 def render_readme(card: Card, repo_id: str | None = None) -> str:

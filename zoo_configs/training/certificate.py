@@ -2,7 +2,6 @@
 
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,10 +13,13 @@ from sb3_extensions.replay.buffer import ExpertReplayBuffer
 from zoo_configs.errors import CommandError, refused
 from zoo_configs.files import read_yaml, write_yaml
 from zoo_configs.provenance import arithmetic
+from zoo_configs.training.runs import Run
 
 UPDATES = (0, 1, 2, 5, 10, 20, 50, 100, 200)
 """Numbers of updates after which the checksums are recorded."""
 CHECKSUMS = "checksums"
+OPTIONS = ("n_timesteps", "vec_env", "num_threads")
+"""Options of a training on which the checksums depend."""
 
 Row = Mapping[str, Any]
 """Number of ``updates``, and the checksum of each quantity after them."""
@@ -32,20 +34,23 @@ class Certificate(BaseCallback):
     Callback that writes checksums of a model after its first updates.
 
     Off-policy algorithms are recorded at the first rollout after each number in ``UPDATES``. A resumed run
-    keeps the checksums before its checkpoint.
+    keeps the checksums before its checkpoint, and adds none if it resumes under other conditions.
 
     :param stop_after: Updates after which :class:`FirstUpdatesDone` is raised, None to continue
     """
 
-    def __init__(self, path: Path, stop_after: int | None = None) -> None:
+    def __init__(self, run: Run, stop_after: int | None = None) -> None:
         super().__init__()
-        self.path, self.stop_after = path, stop_after
+        self.run, self.stop_after = run, stop_after
+        self._conditions = {**arithmetic(), **_conditions(run)}
         self._rows: list[Row] = []
+        self._is_repeatable = True
 
     def _init_callback(self) -> None:
-        if self.path.is_file():
-            known = read_certificate(self.path)[CHECKSUMS]
-            self._rows = [row for row in known if row["updates"] <= self._updates]
+        if self.run.certificate.is_file():
+            known = certificate_of(self.run)
+            self._rows = [row for row in known[CHECKSUMS] if row["updates"] <= self._updates]
+            self._is_repeatable = self._conditions.items() <= known.items()
 
     @property
     def _updates(self) -> int:
@@ -53,9 +58,9 @@ class Certificate(BaseCallback):
 
     def _on_rollout_start(self) -> None:
         recorded = self._rows[-1]["updates"] if self._rows else -1
-        if any(recorded < number <= self._updates for number in UPDATES):
+        if self._is_repeatable and any(recorded < number <= self._updates for number in UPDATES):
             self._rows.append({"updates": self._updates, **checksums(self.model)})
-            write_yaml(self.path, {**arithmetic(), CHECKSUMS: self._rows})
+            write_yaml(self.run.certificate, {**self._conditions, CHECKSUMS: self._rows})
         if self.stop_after is not None and self._updates >= self.stop_after:
             raise FirstUpdatesDone
 
@@ -95,14 +100,23 @@ def _parts(content: Any) -> Iterator[bytes]:
         yield array.tobytes()
 
 
-def read_certificate(path: Path) -> dict[str, Any]:
-    """Read a certificate; raise ``CommandError`` if it is missing or damaged."""
+def _conditions(run: Run) -> dict[str, Any]:
+    return {"device": run.device, "options": {name: getattr(run.options, name) for name in OPTIONS}}
+
+
+def certificate_of(run: Run) -> dict[str, Any]:
+    """
+    Return the checksums of a run, and the device and the options with which they were computed.
+
+    :raises CommandError: if the certificate is missing or damaged
+    """
+    path = run.certificate
     if not path.is_file():
         raise CommandError(f"{path} does not exist: this run has no certificate")
     content: dict[str, Any] = read_yaml(path)
     with refused(f"{path} cannot be read"):
         assert all(isinstance(row["updates"], int) for row in content[CHECKSUMS]), "updates must be numbers"
-    return content
+    return {**_conditions(run), **content}
 
 
 def first_difference(recorded: Iterable[Row], found: Iterable[Row]) -> tuple[int, str] | None:

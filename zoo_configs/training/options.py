@@ -26,7 +26,7 @@ class TrainingOptions:
     Options of a training. Each is a flag of ``bulletarm-zoo train`` with rl_zoo3's name, meaning and default:
     ``eval_freq`` is ``--eval-freq``. ``bulletarm-zoo train --help`` describes them.
 
-    :raises CommandError: for an invalid value, or if an optional package is not installed
+    :raises CommandError: for an invalid value
     """
 
     n_timesteps: int = _option(
@@ -48,19 +48,28 @@ class TrainingOptions:
     def __post_init__(self) -> None:
         for item in fields(self):
             _check(item, getattr(self, item.name))
-        for name, packages in PACKAGES.items():
-            if getattr(self, name) and (missing := [item for item in packages if find_spec(item) is None]):
-                raise CommandError(f"{flag(name)} needs a package: pip install {' '.join(missing)}")
-        file = Path(self.trained_agent)
-        if self.trained_agent and (file.suffix != ".zip" or not file.is_file()):
-            raise CommandError(f"--trained-agent must be an existing .zip file, got {file}")
 
     @classmethod
     def of(cls, experiment: ExperimentConfig, given: Mapping[str, Any] | None = None) -> "TrainingOptions":
-        """Return the options of an experiment's preset, which ``given`` options replace."""
+        """
+        Return the options of an experiment's preset, which ``given`` options replace.
+
+        :raises CommandError: for an invalid value, or if the model file or an optional package is missing
+        """
         values = {**experiment.flags, **(given or {})}
         check_names("option of the training", values, [item.name for item in fields(cls)])
-        return cls(**values)
+        options = cls(**values)
+        options.check_packages()
+        file = Path(options.trained_agent)
+        if options.trained_agent and (file.suffix != ".zip" or not file.is_file()):
+            raise CommandError(f"--trained-agent must be an existing .zip file, got {file}")
+        return options
+
+    def check_packages(self) -> None:
+        """Raise ``CommandError`` if an optional package is not installed."""
+        for name, packages in PACKAGES.items():
+            if getattr(self, name) and (missing := [item for item in packages if find_spec(item) is None]):
+                raise CommandError(f"{flag(name)} needs a package: pip install {' '.join(missing)}")
 
 
 def _check(item: Field[Any], value: Any) -> None:

@@ -105,6 +105,7 @@ def check_run(run: Run, allow_mismatched_demos: bool) -> None:
     """Raise ``CommandError`` if a run cannot be trained, before anything is built."""
     register_environments(run.gym_packages)
     check_experiment(run.experiment)
+    run.options.check_packages()
     check_device(run.device)
     env_kwargs = run.experiment.hyperparams.get("env_kwargs", {})
     with tried_env(run.experiment.env_id, env_kwargs) as env:

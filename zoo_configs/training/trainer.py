@@ -121,7 +121,7 @@ class Trainer:
         if self.progress:
             found.append(TrainingBar())
         if not options.trained_agent:
-            found.append(Certificate(self.run.certificate))
+            found.append(Certificate(self.run))
         if options.eval_freq > 0:
             env = self._build_env(options.n_eval_envs, for_evaluation=True)
             env.seed(stream_seed(self.run.seed, SeedStream.EVALUATION))

@@ -8,6 +8,15 @@ import zlib
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium import spaces
+from gymnasium.wrappers import (
+    DelayObservation,
+    FrameStackObservation,
+    NormalizeReward,
+    TimeAwareObservation,
+    TransformObservation,
+    TransformReward,
+)
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.noise import NormalActionNoise
@@ -130,6 +139,33 @@ def test_states_of_wrappers_and_time_limits_are_restored(make_model, tmp_path):
     np.testing.assert_array_equal(whole.env.ret_rms.count, resumed.env.ret_rms.count)
     np.testing.assert_array_equal(whole.env.obs_rms["holding"].count, resumed.env.obs_rms["holding"].count)
     assert 0 < max(e["l"] for e in resumed.ep_info_buffer) <= 6
+
+
+def stacked(env):
+    parts = {key: spaces.Box(0, 1, (2, *part.shape[1:])) for key, part in env.observation_space.items()}
+    env = FrameStackObservation(env, 2)
+    return TransformObservation(env, lambda obs: {k: v[:, 0] for k, v in obs.items()}, spaces.Dict(parts))
+
+
+@pytest.mark.parametrize(
+    "wrap",
+    [
+        lambda env: DelayObservation(env, 2),
+        lambda env: TimeAwareObservation(env, flatten=False),
+        lambda env: NormalizeReward(TransformReward(env, lambda reward: reward - 0.1)),
+        stacked,
+    ],
+    ids=["delay", "time", "rewards", "frames"],
+)
+def test_states_of_gymnasium_wrappers_are_restored(wrap, make_model, tmp_path):
+    def make_env():
+        return DummyVecEnv([lambda: wrap(gym.make("ToyReach-v0", max_episode_steps=6))])
+
+    saving = DirectoryCheckpointCallback(STEPS, tmp_path)
+    whole = make_model(make_env()).learn(STEPS + MORE_STEPS, callback=saving)
+    resumed = resume(min(tmp_path.iterdir()), make_env(), device="cpu")
+    resumed.learn(STEPS + MORE_STEPS - resumed.num_timesteps, reset_num_timesteps=False)
+    assert_same(whole, resumed)
 
 
 def test_a_stock_algorithm(make_toy, tmp_path):

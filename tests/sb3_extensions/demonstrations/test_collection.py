@@ -1,5 +1,6 @@
 """Collection of expert episodes, with noise and on a grid, in copies of the training environments."""
 
+from functools import partial
 from typing import Any
 
 import gymnasium as gym
@@ -17,6 +18,7 @@ from stable_baselines3.common.vec_env import (
     VecTransposeImage,
 )
 
+from bulletarm_gym.demonstrations import RecordDemonstrations
 from sb3_extensions.demonstrations import source
 from sb3_extensions.demonstrations.action_transforms import GaussianExpertNoise
 from sb3_extensions.demonstrations.collection import collect_episodes
@@ -128,6 +130,18 @@ def test_a_copy_has_the_wrappers_but_not_the_monitor(tmp_path):
     env.reset()
     env.step(np.zeros((1, 5), np.float32))  # the monitor of the training still has its file
     assert env.envs[0].results_writer is not None
+
+
+@pytest.mark.parametrize("kind", [DummyVecEnv, partial(SubprocVecEnv, start_method="fork")])
+def test_demonstrations_of_a_training_are_not_recorded(kind, tmp_path):
+    path = tmp_path / "own.h5"
+    env_id = "BulletArm/CloseLoopBlockReaching-v0"
+    env = kind([lambda: RecordDemonstrations(gym.make(env_id, obs_size=16), path)])
+    [(copy, _)] = make_expert_envs(env)
+    assert len(collect(1, env=copy)) == 1
+    copy.close()
+    env.close()
+    assert not path.exists()
 
 
 def test_demonstrations_have_the_users_wrappers(make_learner):
