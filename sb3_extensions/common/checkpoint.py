@@ -112,10 +112,12 @@ def save_checkpoint(model: BaseAlgorithm, path: str | os.PathLike[str], keep: in
     temporary.mkdir()
     try:
         _write_files(model, temporary)
-    except BaseException:  # free the space on a full disk
-        shutil.rmtree(temporary, ignore_errors=True)
+        os.rename(temporary, final)
+    except BaseException as error:
+        if isinstance(error, OSError):  # the error of a full disk has no file name
+            error.filename = error.filename or str(final)
+        shutil.rmtree(temporary, ignore_errors=True)  # frees the space on a full disk
         raise
-    os.rename(temporary, final)
     _sync(path)
     for old in _checkpoints(path)[:-keep]:
         # An interrupted deletion leaves a directory with a temporary name.

@@ -204,8 +204,9 @@ def test_interrupted_write_keeps_the_last_checkpoint(make_toy, make_model, tmp_p
     for target in ([model, "save"], [model, "save_replay_buffer"], ["os.rename"]):
         with monkeypatch.context() as patch:
             patch.setattr(*target, fail)
-            with pytest.raises(OSError, match="space"):
+            with pytest.raises(OSError, match="space") as failed:
                 save_checkpoint(model, tmp_path, keep=1)
+        assert failed.value.filename.startswith(str(tmp_path))
         assert latest_checkpoint(tmp_path) == first
     assert resume(tmp_path, make_toy(), device="cpu").num_timesteps == 5
     second = save_checkpoint(model, tmp_path, keep=1)
