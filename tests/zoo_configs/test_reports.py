@@ -12,11 +12,14 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 from gymnasium import spaces
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 from PIL import Image
 
+from bulletarm_gym.benchmarks import BENCHMARKS
 from zoo_configs import provenance
 from zoo_configs.cli import main
-from zoo_configs.drawing.curves import LearningCurve, mean_curve
+from zoo_configs.drawing.curves import SUCCESS, LearningCurve, draw_curves, mean_curve
 from zoo_configs.drawing.video import observed_images
 from zoo_configs.experiments.config import resolve
 from zoo_configs.experiments.flags import find_experiment
@@ -69,6 +72,18 @@ def test_a_mean_curve_has_at_each_step_the_runs_that_were_evaluated():
     mean = mean_curve([long, short])
     found = [mean.timesteps, mean.success, mean.error]
     np.testing.assert_allclose(found, [[5, 10, 15], [0.5, 0.75, 1.0], [0.5, 0.25, np.nan]])
+
+
+def test_the_title_of_a_panel_is_in_the_figure(tmp_path, monkeypatch):
+    figures = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, path, **_: (path.touch(), figures.append(figure)))
+    longest = max((row.env_id for table in BENCHMARKS.values() for row in table.environments), key=len)
+    curve = LearningCurve(np.arange(2), np.ones(2), np.zeros(2), SUCCESS, 1)
+    draw_curves({longest: {"equi": curve}}, tmp_path / "curves.png")
+    [figure] = figures
+    FigureCanvasAgg(figure).draw()
+    title = figure.axes[0].title.get_window_extent()
+    assert 0 <= title.x0 and title.x1 <= figure.bbox.x1
 
 
 def test_plot_draws_values_of_expert_and_online_transitions(trained, tmp_path, refuse):

@@ -10,6 +10,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from zoo_configs.errors import refused
+from zoo_configs.experiments.families import task_name
 from zoo_configs.files import whole_file
 from zoo_configs.training.runs import Run
 
@@ -87,10 +88,11 @@ def draw_curves(panels: Mapping[str, Mapping[str, LearningCurve]], path: Path) -
         axes.set_axis_off()
     names = list(dict.fromkeys(name for curves in panels.values() for name in curves))
     lines: dict[str, Any] = {}
-    for axes, (title, curves) in zip(grid.flat, panels.items(), strict=False):
+    for axes, (env_id, curves) in zip(grid.flat, panels.items(), strict=False):
         for name, curve in curves.items():
             lines[name] = _draw(axes, curve, names.index(name))  # the same colour in all panels
-        axes.set(title=title, ylabel=next(iter(curves.values())).measure.removeprefix("evaluation "))
+        measure = next(iter(curves.values())).measure.removeprefix("evaluation ")
+        axes.set(title=task_name(env_id), ylabel=measure)  # a whole id is wider than a panel
         if all(curve.measure == SUCCESS for curve in curves.values()):
             axes.set_ylim(-0.02, 1.02)
     _save(figure, lines, path)
@@ -102,7 +104,7 @@ def draw_training(panels: Mapping[str, Mapping[str, Sequence[Path]]], path: Path
     lines: dict[str, Any] = {}
     for row, (env_id, logs) in zip(grid, panels.items(), strict=True):
         for axes, (quantity, label) in zip(row, QUANTITIES.items(), strict=True):
-            axes.set(title=env_id, ylabel=label)
+            axes.set(title=task_name(env_id), ylabel=label)
             for number, (name, files) in enumerate(logs.items()):
                 means = pd.concat(map(read_training_log, files)).groupby(TIMESTEPS).mean()
                 for side, style in SIDES.items():
