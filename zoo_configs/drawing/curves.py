@@ -92,7 +92,8 @@ def draw_curves(panels: Mapping[str, Mapping[str, LearningCurve]], path: Path) -
         for name, curve in curves.items():
             lines[name] = _draw(axes, curve, names.index(name))  # the same colour in all panels
         measure = next(iter(curves.values())).measure.removeprefix("evaluation ")
-        axes.set(title=task_name(env_id), ylabel=measure)  # a whole id is wider than a panel
+        axes.set_title(task_name(env_id), fontsize=FONT_SIZE)  # a whole id is wider than a panel
+        axes.set_ylabel(measure)
         if all(curve.measure == SUCCESS for curve in curves.values()):
             axes.set_ylim(-0.02, 1.02)
     _save(figure, lines, path)
@@ -104,7 +105,8 @@ def draw_training(panels: Mapping[str, Mapping[str, Sequence[Path]]], path: Path
     lines: dict[str, Any] = {}
     for row, (env_id, logs) in zip(grid, panels.items(), strict=True):
         for axes, (quantity, label) in zip(row, QUANTITIES.items(), strict=True):
-            axes.set(title=task_name(env_id), ylabel=label)
+            axes.set_title(task_name(env_id), fontsize=FONT_SIZE)
+            axes.set_ylabel(label)
             for number, (name, files) in enumerate(logs.items()):
                 means = pd.concat(map(read_training_log, files)).groupby(TIMESTEPS).mean()
                 for side, style in SIDES.items():
@@ -121,7 +123,7 @@ def _subplots(rows: int, columns: int) -> tuple[Any, Any]:
     from matplotlib.ticker import EngFormatter, MaxNLocator
 
     size = (columns * PANEL_SIZE[0], rows * PANEL_SIZE[1])
-    with rc_context({"font.size": FONT_SIZE, "axes.titlesize": FONT_SIZE}):
+    with rc_context({"font.size": FONT_SIZE}):
         figure = Figure(figsize=size, layout="constrained")
         grid = figure.subplots(rows, columns, squeeze=False)
     for axes in grid.flat:
