@@ -116,7 +116,8 @@ def certificate_of(run: Run) -> dict[str, Any]:
     content: dict[str, Any] = read_yaml(path)
     with refused(f"{path} cannot be read"):
         assert all(isinstance(row["updates"], int) for row in content[CHECKSUMS]), "updates must be numbers"
-    return {**_conditions(run), **content}
+        assert content.keys() >= _conditions(run).keys(), "it must have a device and options"
+    return content
 
 
 def first_difference(recorded: Iterable[Row], found: Iterable[Row]) -> tuple[int, str] | None:
