@@ -27,10 +27,13 @@ from stable_baselines3.common.type_aliases import GymEnv
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 
 MANIFEST, MODEL, REPLAY_BUFFER, STATE = "manifest.json", "model.zip", "replay_buffer.pkl", "state.pkl"
-FORMAT = 6
+FORMAT = 7
 """Version of the format of a checkpoint."""
 PREFIX, TEMPORARY_PREFIX = "checkpoint_", ".incomplete_"
+MONITOR_TOTALS = ("total_steps", "t_start")
+"""Attributes of ``Monitor`` that count from the start of the training."""
 WRAPPER_STATE = (
+    *MONITOR_TOTALS,
     *("rewards", "_elapsed_steps", "timesteps"),
     *("observation_queue", "obs_queue", "padding_value"),
     *("obs_rms", "return_rms", "discounted_reward"),
@@ -265,14 +268,17 @@ def _check_env(env: VecEnv, state: dict[str, Any]) -> None:
 
 
 def _set_env_state(model: BaseAlgorithm, env: VecEnv, state: dict[str, Any]) -> None:
+    kept = state["wrappers"]
     if state["envs"] is None:
         _start_new_episodes(model, env)
+        kept = {name: values for name, values in kept.items() if name in MONITOR_TOTALS}
     else:
         env.reset()  # required by wrappers before the first step
         for index, env_state in enumerate(state["envs"]):
             env.env_method("set_state", env_state, indices=index)
-            for name, values in state["wrappers"].items():
-                env.env_method("set_wrapper_attr", name, values[index], indices=index)
+    for name, values in kept.items():
+        for index, value in enumerate(values):
+            env.env_method("set_wrapper_attr", name, value, indices=index)
     for wrapper, attributes in zip(_vec_wrappers(env), state["vec_wrappers"], strict=True):
         vars(wrapper).update(attributes)
 

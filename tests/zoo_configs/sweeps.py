@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import optuna
+import pandas as pd
 import yaml
 from optuna.storages.journal import JournalFileBackend, JournalStorage
 from stable_baselines3.common.save_util import load_from_zip_file
@@ -61,11 +62,17 @@ def weights(folder):
     return dict(load_from_zip_file(model, device="cpu")[1]["policy"])
 
 
+def episodes(folder):
+    """Return and length of each episode, by environment."""
+    return [pd.read_csv(path, comment="#")[["r", "l"]] for path in sorted(folder.glob("*.monitor.csv"))]
+
+
 def same(left, right):
     ours, theirs = weights(left), weights(right)
     with np.load(left / "evaluations.npz") as first, np.load(right / "evaluations.npz") as second:
         evaluated = all(np.array_equal(first[key], second[key]) for key in first)
-    return evaluated and all(bool((ours[key] == theirs[key]).all()) for key in ours)
+    monitored = all(map(pd.DataFrame.equals, episodes(left), episodes(right)))
+    return evaluated and monitored and all(bool((ours[key] == theirs[key]).all()) for key in ours)
 
 
 def study_of(folder, name):

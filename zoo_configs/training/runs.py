@@ -1,14 +1,17 @@
 """Run folders in rl_zoo3's layout, ``<log folder>/<algo>/<env>_<number>``."""
 
 import contextlib
+import os
 import shlex
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
+
+import pandas as pd
 
 from zoo_configs.arguments import key_value_words
 from zoo_configs.errors import CommandError, reason, refused
@@ -164,6 +167,20 @@ def clear(run: Run) -> None:
     monitors = run.folder.glob("*.monitor.csv")
     for path in (*reports, *monitors, run.best_model, run.last_model):
         path.unlink(missing_ok=True)
+
+
+def cut_monitor_files(run: Run, steps: Sequence[int]) -> None:
+    """
+    Remove the episodes that ended after a run's checkpoint from its monitor files.
+
+    :param steps: Steps of each environment at the checkpoint
+    """
+    for rank, limit in enumerate(steps):
+        path = run.folder / f"{rank}.monitor.csv"
+        if path.is_file():
+            ends = pd.read_csv(path, comment="#")["l"].cumsum()
+            kept = path.read_bytes().splitlines(keepends=True)[: 2 + int((ends <= limit).sum())]
+            os.truncate(path, sum(map(len, kept)))  # the open file appends
 
 
 @dataclass(frozen=True)

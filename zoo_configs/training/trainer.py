@@ -21,7 +21,7 @@ from zoo_configs.experiments.validation import policy_class
 from zoo_configs.training.certificate import Certificate
 from zoo_configs.training.evaluation import PeriodicEvaluation, TrainingLog
 from zoo_configs.training.objects import TRAINER_KEYS, action_noise, build_vec_env, described_classes, parsed
-from zoo_configs.training.runs import Run, env_folder_name
+from zoo_configs.training.runs import Run, cut_monitor_files, env_folder_name
 
 REJECTIONS = (AssertionError, MemoryError, RuntimeError, TypeError, ValueError)
 """Errors of algorithms for arguments, or environments, with which they cannot learn."""
@@ -134,7 +134,9 @@ class Trainer:
     def _model(self, env: VecEnv) -> BaseAlgorithm:
         """Load the model of a checkpoint or file, or build a new one."""
         if self.checkpoint is not None:
-            return resume(self.checkpoint, env, self.run.device)
+            resumed = resume(self.checkpoint, env, self.run.device)
+            cut_monitor_files(self.run, env.get_attr("total_steps"))
+            return resumed
         kwargs = self._constructor_kwargs(env)
         if not self.options.trained_agent:
             model: BaseAlgorithm = self.algorithm(env=env, **kwargs)
