@@ -37,7 +37,7 @@ BEGIN = r"(?<!`)<!-- data: "
 """Start of a marker outside backticks."""
 PLACE = re.compile(rf"({BEGIN}(?P<name>[^>]*?) -->).*?(<!-- end of data -->)", re.DOTALL)
 SPEED_HEADS = {
-    "yardstick_us": ("calibration us", 1),
+    "calibration_us": ("calibration us", 1),
     "steps_per_second": ("steps/s", 0),
     "step_ms": ("ms/step", 2),
     "physics_ms": ("physics", 2),

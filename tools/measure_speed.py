@@ -17,7 +17,7 @@ from typing import Any
 import gymnasium as gym
 from tqdm import tqdm
 
-from bulletarm_gym.check.environments import measure_yardstick
+from bulletarm_gym.check.environments import measure_calibration
 from bulletarm_gym.check.machine import describe_machine, load_average
 from measurements import Row, keep, number, provenance, show, words
 from zoo_configs.arguments import Parser, add_env_kwargs, add_packages, seed
@@ -73,7 +73,7 @@ def measure(env_id: str, args: argparse.Namespace, reference: float | None = Non
 
     :param reference: steps per second of the reference times the time (us) of a simulation step
     """
-    load, step_us = load_average(), measure_yardstick()
+    load, step_us = load_average(), measure_calibration()
     with closing(make_env(env_id, args.env_kwargs)) as env:
         Meter(env).play(args.seed)  # compiles and fills caches
         meter = Meter(env)
@@ -84,7 +84,7 @@ def measure(env_id: str, args: argparse.Namespace, reference: float | None = Non
     return {
         "env": task_name(env_id),
         "env_kwargs": words(args.env_kwargs),
-        "yardstick_us": number(step_us, 1),
+        "calibration_us": number(step_us, 1),
         **figures,
         "reference_steps_per_second": number(scaled, 1),
         "times_reference": number(meter.steps / meter.stepping / scaled, 1),

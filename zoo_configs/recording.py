@@ -118,18 +118,18 @@ def _record_episode(actor: Actor, seed: int, title: str) -> Iterator[tuple[Frame
         yield compose_frame(picture, images, caption, success, values), success
         if over:
             return
-        with _filmed(env) as pictures:
+        with _recorded_motion(env) as pictures:
             seen, _, terminated, truncated, info = env.step(actor.act(seen))
         over = terminated or truncated
         for picture in pictures:
             yield compose_frame(picture, images, caption, success, values), success
 
 
-def _filmed(env: gym.Env[Any, Any]) -> AbstractContextManager[list[Any]]:
+def _recorded_motion(env: gym.Env[Any, Any]) -> AbstractContextManager[list[Any]]:
     """Return a context that collects images of the motion during an open-loop action."""
     if not _is_open_loop(env):
         return nullcontext([])
-    return env.unwrapped.viewer.film(env.render)  # type: ignore[attr-defined, no-any-return]
+    return env.unwrapped.viewer.record_images(env.render)  # type: ignore[attr-defined, no-any-return]
 
 
 def _is_open_loop(env: gym.Env[Any, Any]) -> bool:

@@ -19,8 +19,8 @@ from bulletarm_gym.simulation import has_display
 from bulletarm_gym.simulation.client import Client
 
 
-def measure_yardstick() -> float:
-    """Return the duration (microseconds) of a simulation step with a KUKA arm and four resting cubes."""
+def measure_calibration() -> float:
+    """Return the duration (microseconds) of the reference: a step with a KUKA arm and four resting cubes."""
     client, steps = Client(), 2000
     try:
         client.setAdditionalSearchPath(pybullet_data.getDataPath())
@@ -58,7 +58,7 @@ def check_environments(seconds: float) -> Iterator[Finding]:
     yield Finding("display", "found" if has_display() else missing)
     yield from map(robot, ROBOTS.builtin)
     yield compiled_code()
-    step_us = measure_yardstick()
+    step_us = measure_calibration()
     for env_id in MAX_RATIO:
         yield speed(env_id, seconds, step_us)
 

@@ -24,8 +24,8 @@ OVERVIEW = ((0.95, -0.95, 0.95), (-0.18, 0.0, 0.33))
 """Position and target (m) of the camera of ``render()``, relative to the centre of a default workspace."""
 PIXELS = 240
 """Default pixels a side of close-ups."""
-FILM_STEPS = 48
-"""Number of simulation steps (0.2 s) between two images of a film."""
+RECORDING_STEPS = 48
+"""Number of simulation steps (0.2 s) between two images of a video."""
 MARK_REACH = 0.04
 """Distance (m) from a mark to the ends of its horizontal line."""
 SIZES = (0.3, 0.4)
@@ -154,20 +154,20 @@ class Viewer:
         return close_up_camera(self._scene, pixels).color(self._scene.world)
 
     @contextmanager
-    def film(self, render: Callable[[], Any]) -> Iterator[list[Any]]:
+    def record_images(self, render: Callable[[], Any]) -> Iterator[list[Any]]:
         """Collect images of the simulation inside the context, in the growing list that it yields."""
         images: list[Any] = []
         count = itertools.count(1)
 
-        def filmed(step: Callable[..., Any]) -> Callable[..., Any]:
+        def recorded(step: Callable[..., Any]) -> Callable[..., Any]:
             def step_and_render() -> None:
                 step()
-                if next(count) % FILM_STEPS == 0:
+                if next(count) % RECORDING_STEPS == 0:
                     images.append(render())
 
             return step_and_render
 
-        restore = self._scene.world.wrap_step(filmed)
+        restore = self._scene.world.wrap_step(recorded)
         try:
             yield images
         finally:

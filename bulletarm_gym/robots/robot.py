@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bulletarm_gym.config import MAX_TRANSLATION
 from bulletarm_gym.config_checks import check_argument, numbers, rule
 from bulletarm_gym.geometry import Pose, Vector, interpolate
 from bulletarm_gym.robots.arm import CLEAR_ABOVE, FREE_CLEARANCE, MAX_SHIFTS, CollidingArm, path_length
@@ -15,8 +16,8 @@ from bulletarm_gym.robots.model import RobotModel
 from bulletarm_gym.simulation import World, motion
 from bulletarm_gym.simulation.state import STILL
 
-REFERENCE_DISTANCE = 0.05
-"""Length (m) of a closed-loop step (paper, Close-Loop 4D Benchmark)."""
+REFERENCE_DISTANCE = MAX_TRANSLATION
+"""Length (m) of the motions whose durations :data:`FREE_STEPS` and :data:`CONTACT_STEPS` are."""
 MIN_STEPS = 6
 """Minimum number of simulation steps of a motion."""
 TRANSFER_HEIGHT = 0.4
@@ -130,9 +131,9 @@ class Robot(CollidingArm):
     def _beside(self, pose: Pose, normal: Vector) -> Pose | None:
         """Return the pose in reach to which a blocked arm slides, as a real one does, or None if too near."""
         position = np.array(self.pose.position)
-        way = np.array(pose.position) - position
-        along = way - (way @ normal) * np.array(normal)
-        along = along.clip(np.minimum(way, 0.0), np.maximum(way, 0.0))  # not where no motion was commanded
+        left = np.array(pose.position) - position
+        along = left - (left @ normal) * np.array(normal)
+        along = along.clip(np.minimum(left, 0.0), np.maximum(left, 0.0))  # not where no motion was commanded
         if np.linalg.norm(along) < MIN_SLIDE:
             return None
         x, y, z = (position + along + SLIDE_GAP * np.array(normal)).tolist()
@@ -296,7 +297,7 @@ class Robot(CollidingArm):
         return False
 
     def _can_jump(self, command: float) -> bool:
-        """Return True if the fingers touch nothing on the way to a new opening."""
+        """Return True if the fingers touch nothing on the path to a new opening."""
         if not self._can_skip_simulation:
             return False
         near = self._bodies_above(self.model.gripper.lowest(self.pose) - CLEAR_ABOVE)

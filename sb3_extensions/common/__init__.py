@@ -1,1 +1,1 @@
-"""Modules that several algorithms share: checkpoints, seeds, validation, metadata of environments."""
+"""Modules that several algorithms share: checkpoints, action sequences, and checks of arguments."""

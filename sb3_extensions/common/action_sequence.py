@@ -38,6 +38,6 @@ class ActionSequence:
     def __contains__(self, name: str) -> bool:
         return name in self.names
 
-    def places(self, names: str) -> list[int]:
+    def indices(self, names: str) -> list[int]:
         """Return the indices of the numbers with these names. Names that the action lacks are skipped."""
         return [self.names.index(name) for name in names if name in self.names]

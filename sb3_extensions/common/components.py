@@ -1,7 +1,7 @@
 """Components from Python objects or from YAML, and checks of arguments."""
 
 from collections.abc import Callable, Mapping
-from numbers import Real
+from numbers import Integral, Real
 from typing import Any, TypeVar
 
 Component = TypeVar("Component")
@@ -44,7 +44,14 @@ def check_not_negative(**arguments: float) -> None:
     _check("a number of at least 0", lambda value: value >= 0, arguments)
 
 
-def _check(must: str, is_valid: Callable[[Any], bool], arguments: Mapping[str, Any]) -> None:
+def check_integer(least: int, **arguments: int) -> None:
+    """Raise a ValueError that names the argument if a value is not an integer of at least ``least``."""
+    _check(f"an integer of at least {least}", lambda value: value >= least, arguments, Integral)
+
+
+def _check(
+    must: str, is_valid: Callable[[Any], bool], arguments: Mapping[str, Any], kind: type[Any] = Real
+) -> None:
     for name, value in arguments.items():
-        if not (isinstance(value, Real) and is_valid(value)):
+        if not (isinstance(value, kind) and is_valid(value)):
             raise ValueError(f"{name} must be {must}, got {value!r}")

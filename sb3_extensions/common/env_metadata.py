@@ -36,8 +36,8 @@ def env_attribute(env: VecEnv | None, name: str) -> Any:
 def action_sequence(env: VecEnv | None, action_space: spaces.Space[Any]) -> str | None:
     """Return the environment's ``action_sequence``, None if it does not describe the action space."""
     sequence = env_attribute(env, SEQUENCE)
-    fits = isinstance(sequence, str) and len(sequence) == get_action_dim(action_space)
-    return sequence if fits else None
+    is_valid = isinstance(sequence, str) and len(sequence) == get_action_dim(action_space)
+    return sequence if is_valid else None
 
 
 def with_action_metadata(

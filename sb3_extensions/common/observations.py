@@ -17,8 +17,8 @@ def space_parts(space: spaces.Space[Any]) -> dict[str, spaces.Space[Any]]:
 
 
 def as_parts(observations: Any) -> dict[str, Any]:
-    """Return the entries of observations, a copy of a dictionary."""
-    return dict(observations) if isinstance(observations, dict) else {KEY: observations}
+    """Return the entries of observations, a new dictionary."""
+    return dict(observations) if isinstance(observations, Mapping) else {KEY: observations}
 
 
 def scene_images(shapes: Mapping[str, Sequence[int]]) -> list[str]:

@@ -15,8 +15,8 @@ class EpisodeData(Protocol):
     """
 
     @property
-    def observations(self) -> dict[str, npt.NDArray[Any]]:
-        """For each key of the Dict space an array of n + 1 observations."""
+    def observations(self) -> Any:
+        """Array of n + 1 observations; for a Dict space a dict with an array for each key."""
 
     @property
     def actions(self) -> npt.NDArray[Any]:

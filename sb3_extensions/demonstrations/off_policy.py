@@ -9,10 +9,10 @@ import torch as th
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.policies import BasePolicy
-from stable_baselines3.common.type_aliases import RolloutReturn, TrainFreq, TrainFrequencyUnit
+from stable_baselines3.common.type_aliases import MaybeCallback, RolloutReturn, TrainFreq, TrainFrequencyUnit
 from stable_baselines3.common.vec_env import VecEnv
 
-from sb3_extensions.common.components import check_not_negative
+from sb3_extensions.common.components import check_integer
 from sb3_extensions.common.env_metadata import action_sequence, with_action_metadata
 from sb3_extensions.demonstrations.collection import make_progress_bar
 from sb3_extensions.demonstrations.source import DemonstrationSource, ExpertData, load_episodes
@@ -61,7 +61,7 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
 
     def _check_demonstrations(self) -> None:
         source = self._demonstrations()
-        check_not_negative(pretrain_steps=self.pretrain_steps)
+        check_integer(0, pretrain_steps=self.pretrain_steps)
         if self.pretrain_steps and source.is_empty:
             raise ValueError(
                 "pretrain_steps must be 0 without demonstrations (expert_episodes=0), "
@@ -162,10 +162,11 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
     def learn(
         self: SelfOffPolicy,
         total_timesteps: int,
-        *args: Any,
+        callback: MaybeCallback = None,
+        log_interval: int = 4,
         tb_log_name: str | None = None,
+        reset_num_timesteps: bool = True,
         progress_bar: bool | None = None,
-        **kwargs: Any,
     ) -> SelfOffPolicy:
         """
         Return a trained model. The first call starts with demonstrations and pretraining.
@@ -179,8 +180,14 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         :raises ValueError: if a loaded model's ``expert_data`` is missing, or images are normalised
         """
         self._progress_bar = progress_bar
-        kwargs |= {"tb_log_name": tb_log_name or type(self).__name__, "progress_bar": bool(progress_bar)}
-        return super().learn(total_timesteps, *args, **kwargs)
+        return super().learn(
+            total_timesteps=total_timesteps,
+            callback=callback,
+            log_interval=log_interval,
+            tb_log_name=tb_log_name or type(self).__name__,
+            reset_num_timesteps=reset_num_timesteps,
+            progress_bar=bool(progress_bar),
+        )
 
     def _setup_learn(self, *args: Any, **kwargs: Any) -> tuple[int, BaseCallback]:
         self._check_setup()
@@ -247,7 +254,7 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         """Gradient steps before the first step in the environment, 0 after it or without demonstrations."""
         assert self.replay_buffer is not None
         has_only_demonstrations = 0 < self.replay_buffer.size() == self.replay_buffer.expert_size
-        return self._pretraining_total - self.n_pretrained if has_only_demonstrations else 0
+        return max(self._pretraining_total - self.n_pretrained, 0) if has_only_demonstrations else 0
 
     def as_policy_actions(self, actions: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from stable_baselines3.common.vec_env import VecEnv
 
-from sb3_extensions.common.components import check_not_negative
+from sb3_extensions.common.components import check_integer, check_not_negative
 from sb3_extensions.demonstrations.action_transforms import ActionTransform, GaussianExpertNoise, GridSnapping
 from sb3_extensions.demonstrations.collection import collect_episodes
 from sb3_extensions.demonstrations.episodes import EpisodeData
@@ -57,7 +57,7 @@ class DemonstrationSource:
     :param data: episodes in the environment's units, with Minari's attributes
     :param snap: grid to which the expert's actions are moved before they are executed, instead of noise
     :param progress_bar: whether to show progress; None shows it on a terminal only
-    :raises ValueError: if ``episodes`` or ``noise`` is negative
+    :raises ValueError: if ``episodes`` is not an integer of at least 0, or ``noise`` is negative
     """
 
     episodes: int = 100
@@ -67,7 +67,8 @@ class DemonstrationSource:
     progress_bar: bool | None = None
 
     def __post_init__(self) -> None:
-        check_not_negative(expert_episodes=self.episodes, expert_noise=self.noise)
+        check_integer(0, expert_episodes=self.episodes)
+        check_not_negative(expert_noise=self.noise)
 
     @property
     def is_empty(self) -> bool:

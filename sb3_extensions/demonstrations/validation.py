@@ -8,7 +8,7 @@ from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_extensions.common.env_metadata import RANGES, SEQUENCE, env_attribute
-from sb3_extensions.common.observations import space_parts
+from sb3_extensions.common.observations import as_parts, space_parts
 from sb3_extensions.demonstrations.episodes import EpisodeData
 
 ACTION_SPACE = "action_space"
@@ -42,6 +42,8 @@ def validate_episodes(data: Iterable[EpisodeData], env: VecEnv) -> Iterator[Epis
 
 def _validate_episode(episode: EpisodeData, env: VecEnv, number: int) -> None:
     entries, observations = space_parts(env.observation_space), episode.observations
+    if not isinstance(env.observation_space, spaces.Dict):
+        observations = as_parts(observations)
     if not isinstance(observations, Mapping) or not entries.keys() <= observations.keys():
         found = sorted(observations) if isinstance(observations, Mapping) else type(observations).__name__
         raise ValueError(

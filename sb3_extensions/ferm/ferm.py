@@ -9,7 +9,7 @@ from stable_baselines3.common.utils import polyak_update
 from stable_baselines3.sac.policies import SACPolicy
 from torch import nn
 
-from sb3_extensions.common.components import check_not_negative
+from sb3_extensions.common.components import check_integer
 from sb3_extensions.ferm.policies import MultiInputPolicy
 from sb3_extensions.replay.rotation import AugmentationSpec
 from sb3_extensions.sacfd import SACfD
@@ -53,7 +53,7 @@ class FERM(SACfD):
         super().__init__(policy, env, augmentation=augmentation, _init_setup_model=False, **kwargs)
         if not issubclass(self.policy_class, MultiInputPolicy):
             raise ValueError(f"policy must be FERM's MultiInputPolicy, got {self.policy_class.__name__}")
-        check_not_negative(contrastive_steps=contrastive_steps)
+        check_integer(0, contrastive_steps=contrastive_steps)
         if not 0 < encoder_tau <= 1:
             raise ValueError(f"encoder_tau must be greater than 0 and at most 1, got {encoder_tau}")
         self.contrastive_steps = contrastive_steps

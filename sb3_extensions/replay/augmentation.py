@@ -10,7 +10,7 @@ import torch as th
 from gymnasium import spaces
 from stable_baselines3.common.type_aliases import TensorDict
 
-from sb3_extensions.common.components import check_positive
+from sb3_extensions.common.components import check_integer
 from sb3_extensions.common.observations import as_parts, scene_images, space_parts
 from sb3_extensions.replay.samples import ExpertReplayBufferSamples
 
@@ -158,7 +158,7 @@ class RAD(RandomWindow):
     size: int = 128
 
     def __post_init__(self) -> None:
-        check_positive(size=self.size)
+        check_integer(1, size=self.size)
 
     def __call__(
         self, samples: ExpertReplayBufferSamples, generator: th.Generator
@@ -192,7 +192,7 @@ class DrQ(RandomWindow):
     pad: int = 4
 
     def __post_init__(self) -> None:
-        check_positive(K=self.K, M=self.M, pad=self.pad)
+        check_integer(1, K=self.K, M=self.M, pad=self.pad)
 
     def __call__(
         self, samples: ExpertReplayBufferSamples, generator: th.Generator

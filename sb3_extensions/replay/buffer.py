@@ -12,6 +12,7 @@ from stable_baselines3.common.buffers import BaseBuffer, ReplayBuffer
 from stable_baselines3.common.type_aliases import TensorDict
 from stable_baselines3.common.vec_env import VecNormalize
 
+from sb3_extensions.common.components import check_integer
 from sb3_extensions.common.observations import KEY, as_parts, space_parts
 from sb3_extensions.replay.samples import ExpertReplayBufferSamples
 from sb3_extensions.replay.sampling import make_sampler
@@ -94,10 +95,9 @@ class ExpertReplayBuffer(ReplayBuffer):
 
     def set_discount(self, gamma: float | None, n_steps: int) -> None:
         """Set the discount factor per step and the maximum number of rewards in a return."""
-        if n_steps < 1 or (n_steps > 1 and gamma is None):
-            raise ValueError(
-                f"n_steps must be at least 1, and 1 without gamma, got n_steps={n_steps} and gamma={gamma}"
-            )
+        check_integer(1, n_steps=n_steps)
+        if n_steps > 1 and gamma is None:
+            raise ValueError(f"gamma must be a number with n_steps={n_steps}, got None")
         self.gamma, self.n_steps = gamma, n_steps
 
     def seed(self, seed: int) -> None:
@@ -125,7 +125,7 @@ class ExpertReplayBuffer(ReplayBuffer):
 
     def add_episode(
         self,
-        observations: Observations,
+        observations: AnyObservations,
         actions: npt.NDArray[Any],
         rewards: npt.NDArray[Any],
         terminations: npt.NDArray[Any],
@@ -134,7 +134,7 @@ class ExpertReplayBuffer(ReplayBuffer):
         """
         Add an episode of the expert, before the first online step.
 
-        :param observations: for each key an array of n + 1 observations
+        :param observations: n + 1 observations; for a Dict space an array for each key
         :param actions: n executed actions in the policy's units [-1, 1], shape (n, action dimensions)
         :param rewards: n rewards
         :param terminations: n booleans, True where the episode terminated (not where it was truncated)
@@ -147,7 +147,7 @@ class ExpertReplayBuffer(ReplayBuffer):
         self._check_size(self.table.n_pinned + n_rows + MIN_RING * self.n_envs, "the demonstrations")
         intended = actions if expert_actions is None else expert_actions
         rows = self.table.pin(n_rows)
-        self.table.write_observations(rows, observations)
+        self.table.write_observations(rows, as_parts(observations))
         self.table.write_steps(
             rows[:-1],
             action=np.reshape(actions, (-1, self.action_dim)),

@@ -48,7 +48,7 @@ def rotate_actions(actions: th.Tensor, angles: th.Tensor, action_sequence: Actio
     rotated = actions.clone()
     cos, sin = angles.cos().to(actions.dtype), angles.sin().to(actions.dtype)
     for pair in ("xy", "uv"):
-        if columns := action_sequence.places(pair):
+        if columns := action_sequence.indices(pair):
             x, y = actions[..., columns[0]], actions[..., columns[1]]
             rotated[..., columns[0]] = cos * x - sin * y
             rotated[..., columns[1]] = sin * x + cos * y
@@ -116,13 +116,14 @@ class Rotation(Augmentation):
         quarters = th.randint(4, (n,), generator=generator) * (math.pi / 2)
         unchanged = th.rand(n, generator=generator) >= self.probability
         candidates = th.cat([candidates, quarters[:, None]], dim=1).to(actions.device)
-        fits = th.ones_like(candidates, dtype=th.bool)
-        for given in (actions, expert_actions):
-            rotated = rotate_actions(given[:, None].expand(-1, N_CANDIDATES + 1, -1), candidates, sequence)
-            moved = [column for pair in ("xy", "uv") for column in sequence.places(pair)]
-            fits &= ~(rotated[..., moved].abs() > 1 + TOLERANCE).any(dim=2)  # NaN, an unknown action, fits
-        fits[:, -1] = True
-        first = fits.int().argmax(dim=1, keepdim=True)
+        valid = th.ones_like(candidates, dtype=th.bool)
+        for original in (actions, expert_actions):
+            rotated = rotate_actions(original[:, None].expand(-1, N_CANDIDATES + 1, -1), candidates, sequence)
+            moved = [column for pair in ("xy", "uv") for column in sequence.indices(pair)]
+            # NaN, an unknown action, is valid.
+            valid &= ~(rotated[..., moved].abs() > 1 + TOLERANCE).any(dim=2)
+        valid[:, -1] = True
+        first = valid.int().argmax(dim=1, keepdim=True)
         return candidates.gather(1, first)[:, 0].masked_fill(unchanged.to(actions.device), 0.0)
 
 

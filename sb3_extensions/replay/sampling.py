@@ -1,5 +1,6 @@
 """Samplers of the replay buffer: they return rows and importance weights."""
 
+import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,8 +9,8 @@ import numpy.typing as npt
 
 from sb3_extensions.common.components import (
     check_fraction,
+    check_integer,
     check_not_negative,
-    check_positive,
     make_components,
 )
 from sb3_extensions.replay.step_table import Rows, StepTable
@@ -76,7 +77,7 @@ class ShareSampler(UniformSampler):
                 "expert_fraction + success_fraction must be at most 1, got "
                 f"{self.expert_fraction} + {self.success_fraction}"
             )
-        check_positive(balanced_from=self.balanced_from)
+        check_integer(1, balanced_from=self.balanced_from)
 
     def sample(self, batch_size: int, rng: np.random.Generator) -> tuple[Rows, Weights]:
         """Return sampled rows and importance weights."""
@@ -161,10 +162,12 @@ def make_sampler(spec: Any) -> UniformSampler:
     """
     Create a sampler from its specification, see :class:`~sb3_extensions.replay.buffer.ExpertReplayBuffer`.
 
+    An object is copied, because a sampler refers to the table of one buffer.
+
     :raises ValueError: if the specification is something else
     """
     if isinstance(spec, UniformSampler):
-        return spec
+        return copy.copy(spec)
     classes = {"uniform": UniformSampler, "shares": ShareSampler, "prioritized": PrioritizedSampler}
     samplers = make_components("sampler", spec, classes)
     if len(samplers) > 1:

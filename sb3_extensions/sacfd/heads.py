@@ -47,7 +47,7 @@ class EquivariantMean(nn.Module):
     def __init__(self, in_type: FieldType, action: ActionSequence, gain: float = 1.0) -> None:
         super().__init__()
         self.linear = EquivariantLinear(in_type, action_type(action, in_type.group), gain=gain)
-        self.register_buffer("index", th.tensor(action.places(FIELD_ORDER)).argsort(), persistent=False)
+        self.register_buffer("index", th.tensor(action.indices(FIELD_ORDER)).argsort(), persistent=False)
         self.register_buffer("signs", _signs(action), persistent=False)
 
     def forward(self, features: th.Tensor) -> th.Tensor:
@@ -117,8 +117,8 @@ class InvariantValue(nn.Module):
         initialise_output(self.value, SMALL_GAIN if normalise else 1.0)
         if normalise:
             self.normalisation = InputNormalisation(in_type.size, action.action_dim)
-        places = [*range(in_type.size), *(in_type.size + place for place in action.places(FIELD_ORDER))]
-        self.register_buffer("index", th.tensor(places), persistent=False)
+        index = [*range(in_type.size), *(in_type.size + i for i in action.indices(FIELD_ORDER))]
+        self.register_buffer("index", th.tensor(index), persistent=False)
         signs = th.cat([th.ones(in_type.size), _signs(action)])
         self.register_buffer("signs", signs, persistent=False)
 

@@ -15,7 +15,12 @@ from stable_baselines3.sac.policies import SACPolicy
 from stable_baselines3.sac.sac import SAC
 from torch import nn
 
-from sb3_extensions.common.components import check_fraction, check_not_negative, check_positive
+from sb3_extensions.common.components import (
+    check_fraction,
+    check_integer,
+    check_not_negative,
+    check_positive,
+)
 from sb3_extensions.demonstrations.off_policy import Logs
 from sb3_extensions.demonstrations.source import ExpertData
 from sb3_extensions.replay.rotation import AugmentationSpec
@@ -164,11 +169,9 @@ class SACfD(ActorPretraining, SAC):
 
     def _check_arguments(self) -> None:
         self._check_demonstrations()
-        check_not_negative(
-            bc_weight=self.bc_weight,
-            expert_q_weight=self.expert_q_weight,
-            critic_warmup_steps=self._warmup_steps,
-        )
+        check_not_negative(bc_weight=self.bc_weight, expert_q_weight=self.expert_q_weight)
+        check_integer(0, critic_warmup_steps=self._warmup_steps)
+        check_integer(1, target_update_interval=self.target_update_interval)
         if self.bc_weight == 0 and self.pretrain_steps > self._warmup_steps:
             raise ValueError(
                 "critic_warmup_steps must be None or at least pretrain_steps with bc_weight=0, got "

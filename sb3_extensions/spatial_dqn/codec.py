@@ -10,7 +10,7 @@ import numpy.typing as npt
 import torch as th
 
 from sb3_extensions.common.action_sequence import ActionSequence
-from sb3_extensions.common.components import check_positive
+from sb3_extensions.common.components import check_integer, check_positive
 
 Actions = npt.NDArray[np.float32]
 Indices = npt.NDArray[np.int64]
@@ -62,13 +62,9 @@ class SpatialActionCodec:
     tilt_bound: float = math.pi / 4.0
 
     def __post_init__(self) -> None:
-        check_positive(
-            size=self.size,
-            num_rotations=self.num_rotations,
-            num_heights=self.num_heights,
-            num_tilts=self.num_tilts,
-            workspace_size=self.workspace_size,
-        )
+        counts = {name: getattr(self, name) for name in ("size", "num_rotations", "num_heights", "num_tilts")}
+        check_integer(1, **counts)
+        check_positive(workspace_size=self.workspace_size)
         (low, high), z_bounds, tilt = self.heights, self.z_bounds, self.tilt
         if not z_bounds[0] <= low <= high <= z_bounds[1]:
             raise ValueError(f"heights must be within z_bounds={z_bounds}, in order, got {self.heights}")

@@ -7,7 +7,7 @@ import torch as th
 from torch import nn
 from torch.nn import functional as F
 
-from sb3_extensions.common.components import check_positive
+from sb3_extensions.common.components import check_integer
 from sb3_extensions.encoders.initialisation import initialise_output
 from sb3_extensions.encoders.observation import View
 from sb3_extensions.encoders.patch_encoders import LAST_SIDE_OF_PIXELS, PatchMap, PatchVector
@@ -162,7 +162,7 @@ class EquivariantPixelMaps(PixelMaps):
                 f"group must be cyclic with {2 * rotations} rotations for {rotations} yaws, got {group}"
             )
         dynamic_fields = fields[0] if dynamic_fields is None else dynamic_fields
-        check_positive(dynamic_fields=dynamic_fields)
+        check_integer(1, dynamic_fields=dynamic_fields)
         super().__init__(rotations, lowest_shape(size, fields))
         regular, lowest = (FieldType.of((group.regular, fields[level])) for level in (0, -1))
         self.unet = equivariant_unet(1, group, fields, skip_kernel)

@@ -13,7 +13,12 @@ from stable_baselines3.common.type_aliases import GymEnv, PyTorchObs, Schedule
 from stable_baselines3.common.utils import LinearSchedule, polyak_update
 from torch.nn import functional as F
 
-from sb3_extensions.common.components import check_fraction, check_not_negative, check_positive
+from sb3_extensions.common.components import (
+    check_fraction,
+    check_integer,
+    check_not_negative,
+    check_positive,
+)
 from sb3_extensions.demonstrations.off_policy import Logs, OffPolicyFromDemonstrations
 from sb3_extensions.demonstrations.source import DemonstrationSource, ExpertData
 from sb3_extensions.replay.samples import compute_next_values
@@ -169,7 +174,8 @@ class SpatialDQN(OffPolicyFromDemonstrations):
             exploration_initial_eps=self.exploration_initial_eps,
             exploration_final_eps=self.exploration_final_eps,
         )
-        check_positive(target_update_interval=self.target_update_interval, max_grad_value=self.max_grad_value)
+        check_positive(max_grad_value=self.max_grad_value)
+        check_integer(1, target_update_interval=self.target_update_interval)
 
     def _setup_model(self) -> None:
         # Paper, appendix "Benchmark Details"

@@ -91,6 +91,11 @@ def test_at_most_twelve_additions_and_all_off():
         ({"policy_kwargs": {"features_extractor_kwargs": {"quantise": None}}}, "quantise=None"),
         ({"pretrain_steps": 5, "bc_weight": 0}, "critic_warmup_steps"),
         ({"n_steps": 0}, "n_steps"),
+        ({"n_steps": 2.0}, "n_steps .* integer .* got 2.0"),
+        ({"pretrain_steps": 2.5}, "pretrain_steps .* integer .* got 2.5"),
+        ({"expert_episodes": 2.5}, "expert_episodes .* integer .* got 2.5"),
+        ({"critic_warmup_steps": 1.5}, "critic_warmup_steps .* integer .* got 1.5"),
+        ({"target_update_interval": 0}, "target_update_interval .* got 0"),
         ({"bc_limit": 1.5}, "bc_limit .* got 1.5"),
         ({"self_imitation_temperature": 0.0}, "self_imitation_temperature"),
         ({"policy_kwargs": {"actor_tau": 1.5}}, "actor_tau .* got 1.5"),
@@ -98,6 +103,7 @@ def test_at_most_twelve_additions_and_all_off():
         ({"train_freq": 0}, "train_freq .* n_envs=1"),
         ({"learner": TQCfD, "top_quantiles_to_drop_per_net": 25}, "top_quantiles_to_drop_per_net"),
         ({"learner": FERM, "augmentation": None}, "augmentation .* got None"),
+        ({"learner": FERM, "contrastive_steps": 0.5}, "contrastive_steps .* integer .* got 0.5"),
         ({"learner": FERM, "encoder_tau": 0.0}, "encoder_tau .* got 0.0"),
         ({"learner": FERM, "policy": MultiInputPolicy}, "policy must be FERM's MultiInputPolicy"),
         ({"learner": FERM, "policy_kwargs": {"share_features_extractor": True}}, "share_features_extractor"),
@@ -107,6 +113,12 @@ def test_at_most_twelve_additions_and_all_off():
 def test_invalid_arguments_are_rejected(kwargs, named, make_learner):
     with pytest.raises(ValueError, match=named):
         make_learner(**kwargs)
+
+
+@pytest.mark.parametrize("algorithm", [SACfD, SDQfD])
+def test_learn_has_the_parameters_of_stable_baselines3(algorithm):
+    ours, theirs = (list(inspect.signature(each.learn).parameters) for each in (algorithm, SAC))
+    assert ours == theirs
 
 
 @pytest.mark.parametrize("algorithm", [SACfD, TQCfD, FERM, SDQfD])

@@ -10,7 +10,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium import spaces
-from gymnasium.wrappers import RescaleAction
+from gymnasium.wrappers import FlattenObservation, RescaleAction
+from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.env_util import make_vec_env
 
 from bulletarm_gym.demonstrations import collect
@@ -34,6 +35,24 @@ def test_a_loaded_model_begins_again_with_demonstrations_of_its_environment(
     loaded.learn(1)
     assert loaded.n_pretrained == (steps or 4) and loaded._n_updates >= updates + (steps or 4)
     assert loaded.replay_buffer is not None and loaded.replay_buffer.expert_size > 0
+
+
+def test_an_interrupted_pretraining_can_be_shortened(make_learner):
+    model = make_learner(pretrain_steps=9, learning_starts=9)
+
+    class Interruption(BaseCallback):
+        def _on_rollout_start(self):
+            if model.n_pretrained == 3:
+                raise KeyboardInterrupt
+
+        def _on_step(self):
+            return True
+
+    with pytest.raises(KeyboardInterrupt):
+        model.learn(1, callback=Interruption())
+    model.pretrain_steps = 2
+    model.learn(1)
+    assert model.n_pretrained == 3 and model.replay_buffer.size() == model.replay_buffer.expert_size + 1
 
 
 def test_the_replay_buffer_follows_the_discount(make_toy, make_learner, tmp_path):
@@ -165,6 +184,18 @@ def test_forms_of_expert_data(reaching, tmp_path):
         assert buffer.expert_size == len(reaching[0])
         actions.append(buffer.steps("action")[: buffer.expert_size])
     assert all(np.array_equal(actions[0], other) for other in actions[1:])
+
+
+def test_expert_data_of_a_box_space_are_arrays(reaching):
+    env = make_vec_env(lambda: FlattenObservation(gym.make(ENV_ID, observation="state")))
+    space = gym.make(ENV_ID, observation="state").observation_space
+    parts = reaching[0].observations
+    flat = np.concatenate([np.asarray(parts[name], np.float32) for name in space], axis=1)
+    columns = {name: getattr(reaching[0], name) for name in PARTS}
+    for observations in (flat, {"observation": flat}):
+        buffer = learn([SimpleNamespace(**{**columns, "observations": observations})], env)
+        stored = buffer.table.observations["observation"][: len(flat)]
+        np.testing.assert_array_equal(stored, flat)
 
 
 def test_expert_data_without_episodes_is_refused(reaching, tmp_path):

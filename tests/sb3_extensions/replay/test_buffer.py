@@ -12,7 +12,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from sb3_extensions.replay.buffer import ExpertReplayBuffer
 from sb3_extensions.replay.quantisation import Quantiser
-from sb3_extensions.replay.sampling import MIN_PRIORITY
+from sb3_extensions.replay.sampling import MIN_PRIORITY, ShareSampler
 
 HEIGHT = 0.4
 OBSERVATION_SPACE = spaces.Dict(
@@ -186,6 +186,14 @@ def test_pickles_have_used_rows_only_and_give_equal_samples():
     copy = pickle.loads(data)
     np.testing.assert_array_equal(copy.sample(50).indices, buffer.sample(50).indices)
     assert copy.sample(50).is_expert.any()
+
+
+def test_a_sampler_object_serves_several_buffers():
+    sampler = ShareSampler(0.25)
+    first, second = (make_buffer(sampler=sampler) for _ in range(2))
+    assert first.sampler.expert_fraction == second.sampler.expert_fraction == 0.25
+    assert first.sampler.table is first.table and second.sampler.table is second.table
+    assert "table" not in vars(sampler)  # otherwise it would be saved with the arguments of a model
 
 
 def test_vec_normalize(make_toy):
