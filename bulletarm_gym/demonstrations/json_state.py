@@ -67,6 +67,6 @@ def _decoded(value: Any) -> Any:
     if kind in (list, dict):
         return kind(values)
     names = field_names(kind)
-    if len(values) > len(names):
+    if len(values) != len(names):
         raise TypeError(f"{name} has {len(names)} fields, got {len(values)}")
-    return kind(**dict(zip(names, values, strict=False)))  # older files lack the last fields
+    return kind(**dict(zip(names, values, strict=True)))

@@ -32,6 +32,7 @@ class EnvState:
     :param control: the control's memory
     :param steps: number of steps since the reset
     :param ended: whether the episode has terminated or been truncated
+    :param episode_seed: seed of the episode
     :param generator: state of the generator that seeds later episodes
     :param made_of: task, robot, sizes and other values that the environment and the state must have in common
     :param narrowed: names and values of the parameters that options of the reset have narrowed
@@ -50,9 +51,9 @@ class EnvState:
     episode_seed: int
     generator: dict[str, Any]
     made_of: dict[str, Any]
-    narrowed: tuple[tuple[str, Any], ...] = ()
-    sampled: tuple[tuple[str, float], ...] = ()
-    last_action: tuple[float, ...] = ()
+    narrowed: tuple[tuple[str, Any], ...]
+    sampled: tuple[tuple[str, float], ...]
+    last_action: tuple[float, ...]
 
 
 def check_fits(state: Any, made_of: dict[str, Any]) -> None:

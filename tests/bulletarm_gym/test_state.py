@@ -202,20 +202,21 @@ def test_json_keeps_values_and_types():
             json_state.dumps((value,))
 
 
-def test_states_of_older_files_lack_the_last_fields(picking):
-    state = advance(picking, SEED, 1)
-    older = json.loads(json_state.dumps(state))
-    older["EnvState"] = older["EnvState"][:11]
-    assert json_state.loads(json.dumps(older)) == state
-
-
 def test_loads_rejects_other_types_and_texts_and_imports_nothing():
     before = set(sys.modules)
     for name in ("this:x", "os:system", "bulletarm_gym.geometry:Mesh", "str"):
         with pytest.raises(ValueError, match=rf"^state type must be one of .*Pose.*, got '{name}'"):
             json_state.loads(json.dumps({name: []}))
     assert set(sys.modules) == before
-    for text in ("", "{}", '{"Pose": 1}', '{"Pose": [1, 2, 3]}', '{"dict": [1]}', '{"bytes": 1}'):
+    for text in (
+        "",
+        "{}",
+        '{"Pose": 1}',
+        '{"Pose": [[0, 0, 0]]}',
+        '{"Pose": [1, 2, 3]}',
+        '{"dict": [1]}',
+        '{"bytes": 1}',
+    ):
         with pytest.raises(ValueError):
             json_state.loads(text)
 
