@@ -84,22 +84,29 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         if self.augmentation is not None:
             self.augmentation.check(self.observation_space)
             self.policy_kwargs = self.augmentation.with_crop(self.policy_kwargs)
-        # The paper's targets do not bootstrap from truncated episodes (the authors' code).
-        defaults: dict[str, Any] = {"handle_timeout_termination": False}
-        extractor_kwargs = self.policy_kwargs.get("features_extractor_kwargs") or {}
-        if quantise := self.policy_kwargs.get("quantise", extractor_kwargs.get("quantise")):
-            defaults["image_dtype"] = quantise
-        self.replay_buffer_kwargs = {**defaults, **self.replay_buffer_kwargs}
+        passed_kwargs = self.replay_buffer_kwargs
+        self.replay_buffer_kwargs = {**self._buffer_defaults(), **passed_kwargs}
         self.augmentation_generator = th.Generator().manual_seed(th.initial_seed())
         self.exploration_generator = th.Generator().manual_seed(th.initial_seed())
         # The base class does not pass n_steps and gamma to a custom buffer class and warns, see GH #2274.
         n_steps, self.n_steps = self.n_steps, 1
         super()._setup_model()
         self.n_steps = n_steps
+        # Not saved, because the defaults of a loaded model follow its arguments.
+        self.replay_buffer_kwargs = passed_kwargs
         self._check_setup()
         self._had_expert_data |= self.expert_data is not None
         # The base class sets the seed before it creates the buffer.
         self._seed_samplers(self.seed)
+
+    def _buffer_defaults(self) -> dict[str, Any]:
+        """Return arguments of the replay buffer that the user can replace."""
+        # The paper's targets do not bootstrap from truncated episodes (the authors' code).
+        defaults: dict[str, Any] = {"handle_timeout_termination": False}
+        extractor_kwargs = self.policy_kwargs.get("features_extractor_kwargs") or {}
+        if quantise := self.policy_kwargs.get("quantise", extractor_kwargs.get("quantise")):
+            defaults["image_dtype"] = quantise
+        return defaults
 
     def _get_policy_from_name(self, policy_name: str) -> type[BasePolicy]:
         if policy_name not in self.policy_aliases:

@@ -178,9 +178,6 @@ class SpatialDQN(OffPolicyFromDemonstrations):
         check_integer(1, target_update_interval=self.target_update_interval)
 
     def _setup_model(self) -> None:
-        # Paper, appendix "Benchmark Details"
-        shares = {"expert_fraction": 0.5, "balanced_from": max(1, self.batch_size // 2)}
-        self.replay_buffer_kwargs = {"sampler": {"shares": shares}, **self.replay_buffer_kwargs}
         is_augmented, self.augmentation = self.augmentation is not None, None
         super()._setup_model()
         self.q_net = self.policy.q_net
@@ -191,6 +188,11 @@ class SpatialDQN(OffPolicyFromDemonstrations):
         self.exploration_schedule = LinearSchedule(
             self.exploration_initial_eps, self.exploration_final_eps, self.exploration_fraction
         )
+
+    def _buffer_defaults(self) -> dict[str, Any]:
+        # Paper, appendix "Benchmark Details"
+        shares = {"expert_fraction": 0.5, "balanced_from": max(1, self.batch_size // 2)}
+        return {**super()._buffer_defaults(), "sampler": {"shares": shares}}
 
     def train(self, gradient_steps: int, batch_size: int = 16) -> None:
         """

@@ -233,6 +233,12 @@ def test_half_of_each_batch_are_demonstrations(make_model):
     assert 2 <= few.expert_size < 16 and few.sample(400).is_expert.float().mean() < 0.4
 
 
+def test_shares_of_a_loaded_model_follow_its_batch_size(make_picking, make_model, tmp_path):
+    make_model(batch_size=4).save(tmp_path / "model")
+    loaded = SDQfD.load(tmp_path / "model", env=make_picking(size=24), device="cpu", batch_size=32)
+    assert loaded.replay_buffer.sampler.balanced_from == 16
+
+
 def test_exploration_stays_on_the_grid(make_picking, make_model):
     """In an action space from 2 to 5; the first 40 steps are random, half of the others."""
     env = make_picking(2, size=24, low=2.0, high=5.0)
