@@ -178,6 +178,8 @@ class World:
         self.joints[body.index] = tuple(positions)
         self.joint_rates[body.index] = (0.0,) * len(body.joints)
         self._send_joints(body)
+        if body.spec.parts:
+            self._disturb(body)
 
     def show_joints(self, body: Body, positions: Sequence[float]) -> None:
         """Set joint positions for a query. :meth:`set_joints` or :meth:`begin` restores the state."""

@@ -58,6 +58,19 @@ def simulate(world, steps):
     world.end()
 
 
+def test_bodies_at_the_old_and_new_positions_of_parts_are_unsettled(boxed):
+    world, body = boxed
+    cube = world.bodies[1]
+    world.place(cube, Pose((0.16, 0.0, 0.02)))
+    for bolt in (0.04, 0.0):  # in the cube, and back
+        world.unsettled.clear()
+        world.set_joints(body, (bolt, 0.0))
+        assert world.unsettled == {body.index, cube.index}
+    world.unsettled.clear()
+    world.set_joints(body, (0.01, 0.0))
+    assert world.unsettled == {body.index}
+
+
 @pytest.mark.parametrize("angle", [0.0, 0.4, 1.1, 1.9])
 def test_poses_of_parts_are_those_of_the_simulation(boxed, angle):
     """The corners of each part are at the surface of its shape in Bullet."""
