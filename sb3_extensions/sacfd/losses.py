@@ -18,7 +18,7 @@ def imitation_loss(
     :param replay_data: sampled steps
     :param success_weights: weights of the steps without an expert action, (batch, 1)
     :param limit: imitated actions are clipped to [-limit, limit]
-    :return: weighted mean over the imitated steps, 0 without any
+    :return: sum of the weighted errors over the sum of the weights, or over 1 if that is smaller, a scalar
     """
     known = replay_data.expert_actions.isfinite().all(dim=1, keepdim=True)
     imitated = th.where(known, replay_data.expert_actions, replay_data.actions).clamp(-limit, limit)
