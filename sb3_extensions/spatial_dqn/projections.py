@@ -10,7 +10,8 @@ MAX_VOXELS = 1 << 18
 """Number of voxels (30 bytes each) in one chunk. Larger chunks are not faster on a CPU."""
 FRACTION_BITS = 20
 """Binary places of positions in pixels, so that sums are exact."""
-PIXEL = 1 << FRACTION_BITS
+ONE_PIXEL = 1 << FRACTION_BITS
+"""A pixel as a fixed-point number."""
 TIE = 1e-5
 """Shift (pixels) of voxels along the gripper's x and y axes, so that none is on the border of two pixels."""
 
@@ -85,8 +86,8 @@ def _count_full(
 def _pixels(steps: th.Tensor, shifts: th.Tensor) -> th.Tensor:
     """Return the index in its window of the pixel below each voxel, int64 (n, size ** 3)."""
     side = 2 * _reach(steps.shape[-1]) + 1
-    steps, shifts = ((values * PIXEL).round_().to(th.int32) for values in (steps, shifts))
-    shifts += side * PIXEL // 2  # from the centre of the window to its corner
+    steps, shifts = ((values * ONE_PIXEL).round_().to(th.int32) for values in (steps, shifts))
+    shifts += side * ONE_PIXEL // 2  # from the centre of the window to its corner
     rows, columns = (
         _add_axes(steps[:, axis], shifts[:, axis]).bitwise_right_shift_(FRACTION_BITS) for axis in (0, 1)
     )
