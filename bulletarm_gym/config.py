@@ -360,5 +360,6 @@ def _unknown(name: str, value: object, control: str) -> str:
     near = difflib.get_close_matches(name, known, n=1)
     advice = f"Did you mean {near[0]!r}?" if near else f"Choose from {', '.join(known)}."
     if name in PARAMETERS:
-        advice = f"It belongs to {PARAMETERS[name]['control'].replace('_', '-')} environments."
+        kind = "closed" if PARAMETERS[name]["control"] == CLOSE_LOOP else "open"
+        advice = f"It belongs to {kind}-loop environments."
     return f"{name} must not be passed, got an unexpected keyword argument {name!r} ({value!r}). {advice}"

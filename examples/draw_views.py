@@ -1,4 +1,4 @@
-"""Draw the two views of close-loop control side by side: python examples/draw_views.py [FILE]."""
+"""Draw the two views of closed-loop control side by side: python examples/draw_views.py [FILE]."""
 
 import sys
 from pathlib import Path

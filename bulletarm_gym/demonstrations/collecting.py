@@ -90,7 +90,7 @@ def _check_planner(planner: str, env: ManipulationEnv, noise: float) -> None:
     """Raise ValueError with the reason if a planner cannot be used with an environment."""
     check_argument("planner", planner, choice(*PLANNERS))
     obstacles = {
-        "only pick and place can be reversed, not close-loop actions": env.config.control != OPEN_LOOP,
+        "only pick and place can be reversed, not closed-loop actions": env.config.control != OPEN_LOOP,
         f"{type(env.task).__name__} has no arrange_goal()": not env.task.has_goal_structure,
         "on this surface blocks do not stay where they are placed": not env.scene.surface.keeps_poses,
         "noise must be 0": noise > 0.0,

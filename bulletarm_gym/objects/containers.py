@@ -292,7 +292,7 @@ FILLET_SLOPE = 0.364
 
 
 def tray_floor(size: float) -> BodySpec:
-    """Return the floor of a tray of nominal side ``size`` (m): 0.25 in close loop, 0.33 in open loop."""
+    """Return the floor of a tray of nominal side ``size`` (m): 0.25 in closed loop, 0.33 in open loop."""
     piece = block((size - RIM, size - RIM, FLOOR_HEIGHT), (0.0, 0.0, FLOOR_HEIGHT / 2.0))
     return BodySpec("tray floor", (piece,), 0.0, friction=0.5, colour=GREY)
 

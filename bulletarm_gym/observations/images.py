@@ -25,7 +25,7 @@ GRIPPER = 255
 
 
 class Heightmap(Sensor):
-    """Heights or, in close loop, depths, with the overlays of the task and the two squares of the fingers."""
+    """Heights (open loop) or depths, with the overlays of the task and the two squares of the fingers."""
 
     @property
     def space(self) -> spaces.Box:

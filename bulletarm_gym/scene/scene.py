@@ -232,7 +232,7 @@ class Scene:
     ) -> None:
         self.config = config
         self.surface = surface
-        # Limits (m, rad) of a close-loop action; the experts' tracker replaces them by the control's.
+        # Limits (m, rad) of a closed-loop action; the experts' tracker replaces them by the control's.
         self.max_translation, self.max_rotation = MAX_TRANSLATION, MAX_ROTATION
         self.world = World(PHYSICS_MODES[config.physics_mode], gui=config.render_mode == "human")
         surface.load(self.world)

@@ -174,7 +174,7 @@ class TraySurface(FlatSurface):
 
     def __init__(self, workspace: list[list[float]], site: Point = SITE) -> None:
         super().__init__(workspace, site)
-        self._size = 5.0 / 6.0 * (workspace[0][1] - workspace[0][0])  # 25 cm in the close-loop 30 cm
+        self._size = 5.0 / 6.0 * (workspace[0][1] - workspace[0][0])  # 25 cm of the closed-loop 30 cm
         self._side = self._size - RIM
 
     def load(self, world: World) -> None:

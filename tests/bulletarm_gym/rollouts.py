@@ -28,7 +28,7 @@ TYPICAL = (
 def make_env(env_id, **parameters):
     """Make an environment without wrappers.
 
-    An action sequence of close loop is replaced in open loop by one without z, or on slopes with three r's.
+    An action sequence of closed loop is replaced in open loop by one without z, or on slopes with three r's.
     """
     assert env_id in bulletarm_gym.ENV_IDS
     sequence = parameters.get("action_sequence")

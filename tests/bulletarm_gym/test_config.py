@@ -109,7 +109,7 @@ def test_wrong_values_of_every_parameter_are_refused():
             with pytest.raises(ParameterError, match=rf"^{name} must .*, got ") as error:
                 make(**{name: value})
             if make is open_loop:
-                assert ("close-loop" in str(error.value)) == (name in ("close_loop_tray", "view"))
+                assert ("closed-loop" in str(error.value)) == (name in ("close_loop_tray", "view"))
 
 
 def square(low, high, *z):

@@ -95,7 +95,7 @@ def test_collect_rejects_other_arguments():
     for arguments, options, message in (
         ((PICKING, 0), {}, "^episodes must be .*, got 0"),
         ((PICKING, 1, "magic"), {}, "^planner must be .*, got 'magic'"),
-        ((PICKING, 1, "deconstruction"), {}, "^planner must be .*close-loop"),
+        ((PICKING, 1, "deconstruction"), {}, "^planner must be .*closed-loop"),
         (("BulletArm/OpenLoopBinPacking-v0", 1, "deconstruction"), {}, "^planner must be .*BinPacking"),
         (("BulletArm/OpenLoopBumpHouseBuilding4-v0", 1, "deconstruction"), {}, "^planner .*surface"),
         ((STACKING, 1, "deconstruction"), {"noise": 0.1}, "noise must be 0"),

@@ -1,4 +1,4 @@
-"""Two tasks of a few pixels, with experts and exact states, for the learners' tests: reaching, close loop;
+"""Two tasks of a few pixels, with experts and exact states, for the learners' tests: reaching, closed loop;
 picking and placing, open loop.
 """
 

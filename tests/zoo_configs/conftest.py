@@ -21,7 +21,7 @@ TINY = (
 
 @pytest.fixture(scope="session")
 def toy_id():
-    """An id that the close-loop baselines serve."""
+    """An id that the closed-loop baselines serve."""
     gym.register(TOY_ID, entry_point=ToyEnv)
     yield TOY_ID
     del gym.registry[TOY_ID]

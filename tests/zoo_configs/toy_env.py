@@ -1,4 +1,4 @@
-"""A quick environment with the interface of the close-loop ids: a finger that must come near a block."""
+"""A quick environment with the interface of the closed-loop ids: a finger that must come near a block."""
 
 from __future__ import annotations
 
