@@ -26,6 +26,8 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.type_aliases import GymEnv
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 
+from sb3_extensions.common.components import check_integer
+
 MANIFEST, MODEL, REPLAY_BUFFER, STATE = "manifest.json", "model.zip", "replay_buffer.pkl", "state.pkl"
 FORMAT = 7
 """Version of the format of a checkpoint."""
@@ -61,13 +63,12 @@ class DirectoryCheckpointCallback(BaseCallback):
     :param save_freq: number of timesteps of all environments between two checkpoints
     :param path: directory of the checkpoints, created if it does not exist
     :param keep: number of checkpoints to keep
-    :raises ValueError: if ``save_freq`` or ``keep`` is not positive
+    :raises ValueError: if ``save_freq`` or ``keep`` is not a positive integer
     """
 
     def __init__(self, save_freq: int, path: str | os.PathLike[str], keep: int = 2) -> None:
         super().__init__()
-        if save_freq < 1 or keep < 1:
-            raise ValueError(f"save_freq and keep must be at least 1, got {save_freq} and {keep}")
+        check_integer(1, save_freq=save_freq, keep=keep)
         self.save_freq = save_freq
         self.path = Path(path)
         self.keep = keep
@@ -103,7 +104,9 @@ def save_checkpoint(model: BaseAlgorithm, path: str | os.PathLike[str], keep: in
     :param path: directory of the checkpoints, created if it does not exist
     :param keep: number of checkpoints to keep, including the new one
     :return: directory of the new checkpoint
+    :raises ValueError: if ``keep`` is not a positive integer
     """
+    check_integer(1, keep=keep)
     path = Path(path)
     path.mkdir(parents=True, exist_ok=True)
     for leftover in path.glob(f"{TEMPORARY_PREFIX}*"):

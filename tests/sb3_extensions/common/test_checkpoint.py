@@ -192,6 +192,8 @@ def test_latest_checkpoints_are_kept_in_the_order_of_writing(make_toy, make_mode
     for bad, named in (({"save_freq": 0}, "save_freq"), ({"save_freq": 1, "keep": 0}, "keep")):
         with pytest.raises(ValueError, match=named):
             DirectoryCheckpointCallback(path=tmp_path, **bad)
+    with pytest.raises(ValueError, match="keep"):
+        save_checkpoint(model, tmp_path, keep=0)
 
 
 def test_interrupted_write_keeps_the_last_checkpoint(make_toy, make_model, tmp_path, monkeypatch):
