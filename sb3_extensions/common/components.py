@@ -1,7 +1,7 @@
 """Components from Python objects or from YAML, and checks of arguments."""
 
 from collections.abc import Callable, Mapping
-from numbers import Real
+from numbers import Integral, Real
 from typing import Any, TypeVar
 
 Component = TypeVar("Component")
@@ -37,6 +37,11 @@ def check_fraction(**arguments: float) -> None:
 def check_positive(**arguments: float) -> None:
     """Raise a ValueError that names the argument if a value is not a positive number."""
     _check("a positive number", lambda value: value > 0, arguments)
+
+
+def check_count(**arguments: int) -> None:
+    """Raise a ValueError that names the argument if a value is not an integer of at least 1."""
+    _check("an integer of at least 1", lambda value: value >= 1 and isinstance(value, Integral), arguments)
 
 
 def check_not_negative(**arguments: float) -> None:
