@@ -76,6 +76,13 @@ def _pair(value: Any) -> Any:
     return [value, value] if _is_number(value) else value
 
 
+def listed(value: Any) -> list[Any] | None:
+    """Return an array-like as a list, None for text and other values."""
+    value = _plain(value)
+    is_sequence = isinstance(value, Sequence | np.ndarray) and not isinstance(value, str | bytes)
+    return list(value) if is_sequence else None
+
+
 def floats(*shape: int) -> Callable[[Any], Any]:
     """Return a conversion of array-likes of finite numbers to lists."""
 
@@ -156,16 +163,15 @@ def instance(*kinds: type) -> Check:
 
 
 def instances(kind: type | tuple[type, ...], names: str, can_be_empty: bool = True) -> Check:
-    """Accept a tuple or list of instances of one or several classes, and return a tuple.
+    """Accept a sequence of instances of one or several classes, and return a tuple.
 
     :param names: name of several instances
     """
 
-    def accepts(values: Any) -> bool:
-        is_sequence = isinstance(values, tuple | list) and len(values) >= 1 - can_be_empty
-        return is_sequence and all(isinstance(value, kind) for value in values)
+    def accepts(values: list[Any]) -> bool:
+        return len(values) >= 1 - can_be_empty and all(isinstance(value, kind) for value in values)
 
-    check = rule(f"a {'' if can_be_empty else 'non-empty '}tuple of {names}", accepts)
+    check = rule(f"a {'' if can_be_empty else 'non-empty '}tuple of {names}", accepts, listed)
     return lambda value: tuple(check(value))
 
 
@@ -246,8 +252,9 @@ camera = rule(
 
 def object_set(value: Any) -> str | list[str]:
     """Accept an existing folder, as an absolute path, or a list of kinds of objects."""
-    if isinstance(value, list | tuple) and value and all(isinstance(kind, str) for kind in value):
-        return [str(kind) for kind in value]
+    kinds = listed(value)
+    if kinds and all(isinstance(kind, str) for kind in kinds):
+        return [str(kind) for kind in kinds]
     if not isinstance(value, str | os.PathLike):
         raise Refused("None, a folder of OBJ, STL or URDF files, or a list of kinds of objects")
     if not os.path.isdir(value):
@@ -268,9 +275,8 @@ def observation(presets: Sequence[str], builtin: Sequence[str]) -> Check:
     )
 
     def convert(value: Any) -> str | list[Any]:
-        if isinstance(value, list | tuple):
-            return [_sensor(entry, builtin) for entry in value]
-        return presets[presets.index(value)]
+        entries = listed(value)
+        return presets[presets.index(value)] if entries is None else [_sensor(e, builtin) for e in entries]
 
     def accepts(entries: str | list[Any]) -> bool:
         names = [entry if isinstance(entry, str) else entry["name"] for entry in entries]
@@ -282,16 +288,20 @@ def observation(presets: Sequence[str], builtin: Sequence[str]) -> Check:
 def _sensor(entry: Any, builtin: Sequence[str]) -> str | dict[str, Any]:
     """Return the name of a sensor, or a dict with its name, parameters and, for a user's, import path."""
     if isinstance(entry, str):
-        return entry
-    plain: dict[str, Any] = json.loads(json.dumps(dict(entry), default=_to_list))
+        return str(entry)
+    plain: dict[str, Any] = json.loads(json.dumps(dict(entry), default=_to_json))
     name = plain["name"]
     if not str.isidentifier(name) or (name in builtin and plain.get("sensor", name) != name):
         raise ValueError
     return plain
 
 
-def _to_list(value: Any) -> Any:
-    """Return NumPy's arrays and numbers as Python's."""
+def _to_json(value: Any) -> Any:
+    """Return NumPy's arrays and numbers, and other sequences and mappings, as Python's."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
+    if isinstance(value, Mapping):
+        return dict(value)
+    if (entries := listed(value)) is not None:
+        return entries
     raise TypeError(f"{type(value).__name__} is not a JSON value")

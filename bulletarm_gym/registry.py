@@ -14,7 +14,7 @@ from typing import Any
 import gymnasium
 from gymnasium.envs.registration import WrapperSpec
 
-from bulletarm_gym.config_checks import ParameterError, check_argument, instance, instances, rule
+from bulletarm_gym.config_checks import ParameterError, check_argument, instance, instances, listed, rule
 
 VARIABLE = "BULLETARM_GYM_REGISTERED"
 """Environment variable in which a process publishes its registrations, as JSON, for child processes."""
@@ -245,8 +245,8 @@ def by_path(parameters: Mapping[str, Any]) -> dict[str, Any]:
         if registry.kind in found:
             found[registry.kind] = registry.path(found[registry.kind])
     for name, convert in (("object_set", OBJECTS.path), ("observation", _sensor_by_path)):
-        if isinstance(found.get(name), list | tuple):
-            found[name] = [convert(entry) for entry in found[name]]
+        if (entries := listed(found.get(name))) is not None:
+            found[name] = [convert(entry) for entry in entries]
     return found
 
 

@@ -43,6 +43,7 @@ LIBRARIES = {
     "sb3_sac": Library("stable_baselines3", r"mean reward [01]\.\d"),
     "sb3_ppo_open_loop": Library("stable_baselines3", r"64 steps of Box\(0, 255, \(3, 64, 64\), uint8\)"),
     "contrib_tqc_crossq": Library("sb3_contrib", r"TQC 110 steps\nCrossQ 110 steps"),
+    "rl_zoo3_sacfd": Library("rl_zoo3", r"mean returns \[[01]\.\S* +[01]\.\S*\]"),
     "cleanrl_ppo": Library("torch", r"iteration 1: \d+ episodes, mean return [01]\.\d\d"),
     "torchrl_sac": Library("torchrl", r"128 transitions, critic's loss \d", ("torchrl",)),
     "tianshou_sac": Library(
@@ -94,11 +95,13 @@ def test_page_includes_every_script():
 
 
 @pytest.mark.parametrize("script", LIBRARIES)
-def test_script_with_our_packages(script, tmp_path, capsys):
+def test_script_with_our_packages(script, tmp_path, capsys, monkeypatch):
+    pytest.importorskip(LIBRARIES[script].module)
     if script in OF_THEIR_OWN:
-        pytest.importorskip(LIBRARIES[script].module)
         _run(script, sys.executable, tmp_path)
     else:  # in this process, which has imported torch
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.setattr(sys, "argv", [script])
         runpy.run_path(str(SCRIPTS / f"{script}.py"), run_name="__main__")
         assert re.search(LIBRARIES[script].output, capsys.readouterr().out)
 

@@ -12,7 +12,7 @@ from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import MaybeCallback, RolloutReturn, TrainFreq, TrainFrequencyUnit
 from stable_baselines3.common.vec_env import VecEnv
 
-from sb3_extensions.common.components import check_integer
+from sb3_extensions.common.components import check_fraction, check_integer
 from sb3_extensions.common.env_metadata import action_sequence, with_action_metadata
 from sb3_extensions.demonstrations.collection import make_progress_bar
 from sb3_extensions.demonstrations.source import DemonstrationSource, ExpertData, load_episodes
@@ -62,6 +62,8 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
     def _check_demonstrations(self) -> None:
         source = self._demonstrations()
         check_integer(0, pretrain_steps=self.pretrain_steps)
+        check_integer(1, batch_size=self.batch_size, buffer_size=self.buffer_size)
+        check_fraction(gamma=self.gamma, tau=self.tau)
         if self.pretrain_steps and source.is_empty:
             raise ValueError(
                 "pretrain_steps must be 0 without demonstrations (expert_episodes=0), "

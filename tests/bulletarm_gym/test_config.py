@@ -1,7 +1,9 @@
 """Parameters of environments: defaults, checks, errors that name the parameter and the value."""
 
+import json
 import pickle
 import re
+from collections import UserDict, UserList
 from contextlib import nullcontext
 
 import gymnasium
@@ -14,6 +16,7 @@ from bulletarm_gym.geometry import PlacementError
 from bulletarm_gym.randomization import Randomization
 
 TASK = TaskDefaults(num_objects=2, max_steps=50, object_scale=0.8, allowed_objects=(2, 3))
+WRIST = UserDict(name="wrist", sensor="rgb", size=UserList([20, 16]))
 WORKSPACE = [[0.3, 0.6], [-0.15, 0.15], [0.01, 0.25]]
 
 
@@ -169,9 +172,21 @@ def test_array_likes_are_kept_as_plain_values():
         ("render_size", np.array([64, 48]), [64, 48]),
         ("randomization", Randomization(object_mass=(0.5, 2.0)), {"object_mass": [0.5, 2.0]}),
         ("render_camera", {"position": np.ones(3)}, {"position": [1.0, 1.0, 1.0]}),
+        ("observation", np.array(["state", "holding"]), ["state", "holding"]),
+        ("observation", np.array("state"), "state"),
+        ("observation", UserList([WRIST]), [{"name": "wrist", "sensor": "rgb", "size": [20, 16]}]),
     ):
         value = getattr(config(**{name: given}), name)
         assert value == kept and type(value) is type(kept)
+        json.dumps(value)
+
+
+def test_object_sets_and_sensors_may_be_any_sequence():
+    """Libraries of configurations have their own classes of lists and dicts."""
+    lists = {"object_set": UserList(["cube", "brick"]), "observation": UserList([WRIST])}
+    made = make_env("BulletArm/OpenLoopObjectGrasping-v0", num_objects=2, **lists)
+    assert made.unwrapped.config.object_set == ["cube", "brick"]
+    assert '"wrist"' in made.spec.to_json()
 
 
 def test_scales_are_a_grid_with_both_ends():

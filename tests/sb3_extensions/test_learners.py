@@ -84,6 +84,11 @@ def test_at_most_twelve_additions_and_all_off():
     [
         ({"bc_weight": -1}, "bc_weight .* got -1"),
         ({"expert_episodes": -1}, "expert_episodes .* got -1"),
+        ({"batch_size": 0}, "batch_size .* got 0"),
+        ({"batch_size": 2.5}, "batch_size .* got 2.5"),
+        ({"buffer_size": 1e3}, "buffer_size .* got 1000.0"),
+        ({"gamma": 1.5}, "gamma .* got 1.5"),
+        ({"tau": -0.1}, "tau .* got -0.1"),
         ({"pretrain_steps": 5, "expert_episodes": 0}, "pretrain_steps"),
         ({"replay_buffer_class": ReplayBuffer}, "replay_buffer_class"),
         ({"replay_buffer_kwargs": {"gamma": 0.9}}, "gamma"),

@@ -1,9 +1,11 @@
 """Hyperparameters of experiments: the golden file, the paper's numbers, the order of merging, the flags."""
 
 import os
+from collections import UserDict, UserList
 from pathlib import Path
 
 import gymnasium as gym
+import numpy as np
 import pytest
 import yaml
 from sweeps import ALL
@@ -15,11 +17,11 @@ from sb3_extensions.encoders.cnn import plan_stages
 from sb3_extensions.replay.sampling import PrioritizedSampler, make_sampler
 from zoo_configs.cli import main
 from zoo_configs.errors import CommandError
-from zoo_configs.experiments.config import explained_yaml, merge, resolve
+from zoo_configs.experiments.config import ExperimentConfig, explained_yaml, merge, resolve
 from zoo_configs.experiments.families import families, parse_family
 from zoo_configs.experiments.flags import find_experiment
 from zoo_configs.experiments.validation import check_experiment
-from zoo_configs.files import Dumper, parse_yaml
+from zoo_configs.files import Dumper, format_yaml, parse_yaml
 from zoo_configs.parsers import parse_train
 
 GOLDEN_FILE = Path(__file__).with_name("golden_experiments.yml")
@@ -90,6 +92,26 @@ def test_the_paper_preset_has_the_numbers_of_the_paper_in_closed_loop():
     assert experiment.hyperparams.items() >= expected.items()
     assert experiment.hyperparams["env_kwargs"]["obs_size"] == 128
     assert (experiment.flags["eval_freq"], experiment.flags["eval_episodes"]) == (5 * 500, 100)
+
+
+def test_values_of_other_libraries_become_plain_data():
+    """Hydra passes mappings and sequences that are no dicts and lists; NumPy's numbers are no floats."""
+    env_kwargs = UserDict(workspace=np.eye(3, 2), observation=UserList(["state", UserDict(name="rgb")]))
+    given = {"gamma": np.float64(0.5), "env_kwargs": env_kwargs, "expert_data": Path("a.h5")}
+    expected = {
+        "gamma": 0.5,
+        "env_kwargs": {"workspace": np.eye(3, 2).tolist(), "observation": ["state", {"name": "rgb"}]},
+        "expert_data": "a.h5",
+    }
+    experiment = ExperimentConfig("sacfd", PICKING, given)
+    for found in (experiment, experiment.overridden(UserDict(given))):
+        assert yaml.safe_load(format_yaml(found.hyperparams)) == expected == found.hyperparams
+
+
+def test_a_value_that_no_file_can_have_is_refused():
+    experiment = resolve("equi_sacfd", "cpu", PICKING, {"policy_kwargs": {"activation_fn": len}})
+    with pytest.raises(CommandError, match=r"policy_kwargs .*built-in function len"):
+        check_experiment(experiment)
 
 
 @pytest.mark.parametrize(

@@ -1,9 +1,12 @@
 """The hyperparameters of an experiment, from a baseline, a preset and an environment."""
 
 import copy
-from collections.abc import Iterator, Mapping
+import os
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
+
+import numpy as np
 
 from zoo_configs.experiments.families import Layer, family_of
 from zoo_configs.files import format_yaml
@@ -18,7 +21,8 @@ class ExperimentConfig:
     """
     An experiment without its seed: everything that training needs.
 
-    :param hyperparams: Hyperparameters, as in a section of rl_zoo3's YAML files
+    :param hyperparams: Hyperparameters, as in a section of rl_zoo3's YAML files; a dict or another mapping,
+        such as OmegaConf's
     :param flags: Defaults for flags of ``train``, by option name
     :param baseline: The baseline, None for hyperparameters from elsewhere
     :param preset: The preset, None for hyperparameters from elsewhere
@@ -36,6 +40,11 @@ class ExperimentConfig:
     benchmark: str | None = None
     overrides: dict[str, Any] = field(default_factory=dict)
     sources: dict[str, Layer] = field(default_factory=dict, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        """Convert values of other libraries, such as OmegaConf's lists, to plain data."""
+        for name in ("hyperparams", "flags", "overrides"):
+            object.__setattr__(self, name, plain(getattr(self, name)))
 
     @property
     def label(self) -> str:
@@ -92,6 +101,17 @@ def leaves(mapping: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, 
             yield from leaves(value, f"{prefix}{key}.")
         else:
             yield f"{prefix}{key}", value
+
+
+def plain(value: Any) -> Any:
+    """Return mappings, sequences, paths, and NumPy's arrays and numbers as dicts, lists and plain values."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return {name: plain(entry) for name, entry in value.items()}
+    if isinstance(value, Sequence) and not isinstance(value, str | bytes):
+        return (tuple if isinstance(value, tuple) else list)(map(plain, value))
+    return os.fspath(value) if isinstance(value, os.PathLike) else value
 
 
 def merge(base: Mapping[str, Any], update: Mapping[str, Any]) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from zoo_configs.algorithms import algorithm_classes, class_from_path
 from zoo_configs.environments import load_expert_data
 from zoo_configs.errors import CommandError, check_names, refused, unknown_name
 from zoo_configs.experiments.config import ExperimentConfig
+from zoo_configs.files import format_yaml
 from zoo_configs.training.objects import NOISES, TRAINER_KEYS, described_classes, parsed
 
 RESERVED_KEYS = {"_init_setup_model", "device", "env", "seed", "tensorboard_log", "verbose"}
@@ -89,6 +90,7 @@ def check_experiment(experiment: ExperimentConfig) -> None:
     _check_replay_buffer(algorithm, experiment.hyperparams)
     for key, value in experiment.hyperparams.items():
         with refused(f"{key} must be valid, got {value!r}"):
+            format_yaml(value)  # as in the files of the run
             parsed({key: value})
             described_classes(value if key in DESCRIBED else None)
     with refused("augmentation"):
