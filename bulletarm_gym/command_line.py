@@ -16,7 +16,12 @@ def add_environment_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments that :func:`make_env` and the seeds of episodes need."""
     add = parser.add_argument
     many: dict[str, Any] = {"nargs": "+", "action": "extend", "default": []}
-    add("--seed", type=int, default=0, help="seed of the first episode; each further episode adds 1 (0)")
+    add(
+        "--seed",
+        type=non_negative_int,
+        default=0,
+        help="seed of the first episode; each further episode adds 1 (0)",
+    )
     text = "parameters of the environment; a value is JSON, or else text"
     add("--env-kwargs", type=_key_value, metavar="KEY:VALUE", help=text, **many)
     text = "modules to import, which register your own tasks and components"
@@ -35,8 +40,17 @@ def _key_value(text: str) -> tuple[str, Any]:
 
 def positive_int(text: str) -> int:
     """Return the positive integer that an argument contains."""
-    if (value := int(text)) < 1:
-        raise argparse.ArgumentTypeError(f"must be at least 1, got {value}")
+    return _integer(text, 1)
+
+
+def non_negative_int(text: str) -> int:
+    """Return the non-negative integer that an argument contains."""
+    return _integer(text, 0)
+
+
+def _integer(text: str, least: int) -> int:
+    if (value := int(text)) < least:
+        raise argparse.ArgumentTypeError(f"must be at least {least}, got {value}")
     return value
 
 

@@ -167,7 +167,8 @@ class EnvConfig:
     :param action_sequence: one character for each number of the action, in its order
     :param workspace: [[x low, x high], [y low, y high], [z low, z high]] (m); square in x and y
     :param object_scale_range: [low, high] scales relative to the nominal sizes; sampled from a grid of 0.02
-        for each object on its own. If a task's default is 0.8, 1.0 gives larger objects
+        for each object on its own, in Box Palletizing for all boxes. If a task's default is 0.8, 1.0 gives
+        larger objects
     :param max_steps: maximum number of actions in an episode
     :param num_objects: number of objects in the scene
     :param obs_size: side length (pixels) of the heightmap

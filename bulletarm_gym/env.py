@@ -178,7 +178,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             episode.begin(narrowed)
             try:
                 arrange_scene(self.scene, self.control, arrange, rng, self._changed)
-            except Exception:
+            except BaseException:  # also KeyboardInterrupt
                 episode.seed = None
                 raise
             episode.randomize()
@@ -310,9 +310,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             self.scene.world.get_state(),
             self.scene.robot.get_state(),
             tuple(obj.variant for obj in self.scene.all_objects),
-            self._observer.get_memory(),
-            self.task.memory,
-            self.control.memory,
+            *deepcopy((self._observer.get_memory(), self.task.memory, self.control.memory)),
             episode.steps,
             episode.ended,
             seed,
@@ -326,22 +324,22 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
     def set_state(self, state: EnvState) -> None:
         """Set the state exactly to one of this environment or of another with the same parameters.
 
-        Parameters that only change observations, rewards or the length of episodes may differ. After a state
-        after the end of an episode, :meth:`reset` must be called before :meth:`step`.
+        Parameters that only change motions, observations, rewards or the length of episodes may differ. After
+        a state after the end of an episode, :meth:`reset` must be called before :meth:`step`.
 
-        :raises ValueError: task, robot, workspace or objects differ; nothing has changed then
+        :raises ValueError: task, control, surface, robot, workspace or objects differ. Then nothing changes
         :raises gymnasium.error.ClosedEnvironmentError: the environment is closed
         """
         self.scene.world.check_open()
         check_fits(state, self._made_of)
         self.scene.world.set_state(state.world)
         self.scene.robot.set_state(state.robot)
-        for obj, variant in zip(self.scene.all_objects, state.cast, strict=True):
+        for obj, variant in zip(self.scene.all_objects, state.variants, strict=True):
             obj.variant = variant
         self._episode.set(state.narrowed, state.sampled, state.last_action)
-        self._observer.set_memory(state.sensors)
-        self.task.memory = state.memory
-        self.control.memory = state.control
+        sensors, *memories = deepcopy((state.sensors, state.memory, state.control))
+        self._observer.set_memory(sensors)
+        self.task.memory, self.control.memory = memories
         episode, self._view = self._episode, None
         episode.seed, episode.steps, episode.ended = state.episode_seed, state.steps, state.ended
         self.np_random.bit_generator.state = state.generator

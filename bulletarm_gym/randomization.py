@@ -31,7 +31,9 @@ def quantity(neutral: float, limits: Range, real: Range, endings: Sequence[str] 
 class Randomization:
     """Ranges of values that are sampled uniformly at every reset.
 
-    A range is [low, high] or a number. The default of each quantity has no effect.
+    A range is [low, high] or a number. The default of each quantity has no effect. A reset that keeps the
+    objects of the previous episode also keeps the values. Friction, mass and colour of the moving parts of
+    objects do not change.
 
     :param object_friction: factor on the friction coefficients of all objects
     :param surface_friction: factor on the friction coefficients of the surface

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WORKSPACES
 from bulletarm_gym.config_checks import check_argument, integer, numbers, rule
+from bulletarm_gym.config_checks import workspace as limits
 from bulletarm_gym.control.close_loop import VIEW_SCALE, tool_frame
 from bulletarm_gym.control.open_loop import measure_grasp, pick_height, place_height, workspace_frame
 from bulletarm_gym.geometry import Pose
@@ -37,6 +38,12 @@ IN_HAND_SIZE = 24
 """Default side length (pixels) of in-hand images, ``in_hand_size``; 40 on bumps."""
 POINTS = rule("an array of numbers", lambda cloud: cloud.dtype.kind in "iuf", np.asarray)
 """Check of points of any shape."""
+HEIGHTMAP = rule(
+    "an array of finite numbers (m) of shape (1, n, n)",
+    lambda image: image.shape == (1, *[len(image[0])] * 2) and image.size and np.isfinite(image).all(),
+    lambda image: np.asarray(image, np.float32),
+)
+"""Check of heightmaps."""
 
 
 def close_loop_heightmap(
@@ -54,11 +61,11 @@ def close_loop_heightmap(
     :param opening: distance (m) between the inner sides of the fingers
     :param workspace: limits (m); the heightmap is 1.5 times as large
     :return: (1, size, size) m, within [0, 0.4]; rows grow with world x, columns with y
-    :raises ValueError: no point is in the square, or ``points`` has another shape
+    :raises ValueError: no point is in the square, or an argument has another shape or type
     """
     tool_pose = check_argument("tool_pose", tool_pose, pose_check)
     opening = check_argument("opening", opening, numbers("non-negative"))
-    (low, high), _, (_, top) = workspace
+    (low, high), _, (_, top) = check_argument("workspace", workspace, limits)
     return _heightmap(points, tool_frame(tool_pose, opening, VIEW_SCALE * (high - low)), top, size)
 
 
@@ -69,8 +76,9 @@ def open_loop_heightmap(
 
     :param points: (n, 3) points (m, world) with the table, without the robot and the grasped object
     :return: (1, size, size) m, within [0, 0.4]; rows grow with world x, columns with y
-    :raises ValueError: no point is in the square, or ``points`` has another shape
+    :raises ValueError: no point is in the square, or an argument has another shape or type
     """
+    workspace = check_argument("workspace", workspace, limits)
     return _heightmap(points, workspace_frame(workspace), workspace[2][1], size)
 
 
@@ -87,8 +95,10 @@ def in_hand_image(
     :param pick: pose (world) of the fingertips when they closed
     :param tilts: whether actions have three r's and the image three channels
     :return: (1, size, size) or (3, size, size) m, within [0, 0.4]
+    :raises ValueError: an argument has another shape or type
     """
     pick = check_argument("pick", pick, pose_check)
+    size = check_argument("size", size, integer(1))
     return images.in_hand_image(elevation_map(heightmap, workspace), pick, size, tilts)
 
 
@@ -96,9 +106,12 @@ def elevation_map(heightmap: Heights, workspace: Limits = WORKSPACES[OPEN_LOOP])
     """Return a heightmap of open-loop control, (1, n, n), as a map of the world.
 
     :func:`pick_height`, :func:`measure_grasp` and :func:`place_height` return heights for actions without z.
+
+    :raises ValueError: ``heightmap`` has another shape, or ``workspace`` is not one of an environment
     """
-    frame = workspace_frame(workspace)
-    return ElevationMap(heightmap[0], frame.centre, frame.extent, frame.origin.z)
+    frame = workspace_frame(check_argument("workspace", workspace, limits))
+    image = check_argument("heightmap", heightmap, HEIGHTMAP)
+    return ElevationMap(image[0], frame.centre, frame.extent, frame.origin.z)
 
 
 def _heightmap(points: ArrayLike, frame: Frame, ceiling: float, size: int) -> Heights:

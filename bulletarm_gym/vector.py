@@ -4,6 +4,7 @@
 ``reset(options={"state": state})`` begins all members at the same state.
 """
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
 from copy import deepcopy
@@ -79,6 +80,7 @@ class CommonSpaces(gymnasium.ObservationWrapper[Observation, Any, Observation], 
     :param observation_space: observations of all tasks, with a number for each task as ``task_id``
     :param action_sequence: meaning of each number of an action, one character each, for all tasks
     :param task: number of the environment's task, from 0 on
+    :raises ValueError: ``action_sequence`` lacks a character of the environment's, or there is no such task
     """
 
     def __init__(
@@ -93,10 +95,14 @@ class CommonSpaces(gymnasium.ObservationWrapper[Observation, Any, Observation], 
         )
         gymnasium.ObservationWrapper.__init__(self, env)
         space: Any = observation_space
+        own = env.get_wrapper_attr("action_sequence")
+        contains = rule(f"text with the characters of {own!r}", lambda text: not Counter(own) - Counter(text))
+        check_argument("action_sequence", action_sequence, contains)
+        task = check_argument("task", task, integer(0, space[TASK_ID].shape[0] - 1))
         self.observation_space = deepcopy(space)
         self.action_sequence = action_sequence
         self.action_space = spaces.Box(-1.0, 1.0, (len(action_sequence),), np.float32)
-        self._places = _places(env.get_wrapper_attr("action_sequence"), action_sequence)
+        self._places = _places(own, action_sequence)
         self._task_id = np.zeros(observation_space[TASK_ID].shape or (), np.float32)
         self._task_id[task] = 1.0
 
@@ -182,8 +188,8 @@ def reset_to_states(envs: VectorEnv[Any, Any, Any], states: Iterable[EnvState]) 
     states = list(check_argument("states", states, instance(Iterable)))
     if len(states) != envs.num_envs:
         raise ValueError(f"states must be {envs.num_envs} states, one per member, got {len(states)}")
-    observations, infos = envs.reset(options={"state": states[0]})
-    for number, state in enumerate(states[1:], 1):
+    observations, infos = envs.reset()  # members of several tasks have different states and infos
+    for number, state in enumerate(states):
         mask = np.arange(envs.num_envs) == number
         observations, later = envs.reset(options={"state": state, "reset_mask": mask})
         infos = _merged(infos, later, mask)
@@ -193,5 +199,5 @@ def reset_to_states(envs: VectorEnv[Any, Any, Any], states: Iterable[EnvState]) 
 def _merged(value: Any, later: Any, mask: Any) -> Any:
     """Return infos, or an entry of infos, with the later values of the members in a mask."""
     if isinstance(value, dict):
-        return {name: _merged(entry, later[name], mask) for name, entry in value.items()}
+        return {name: _merged(entry, later.get(name, entry), mask) for name, entry in value.items()}
     return np.where(mask, later, value)

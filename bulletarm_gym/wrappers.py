@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Callable, Mapping
+from copy import deepcopy
 from dataclasses import replace
 from typing import Any
 
@@ -253,7 +254,7 @@ class ResetOptions(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs)
 
         :raises ValueError: they are not a dict
         """
-        self._options = dict(check_argument("options", options, mapping))
+        self._options = deepcopy(dict(check_argument("options", options, mapping)))
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

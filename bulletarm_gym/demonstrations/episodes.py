@@ -131,6 +131,11 @@ class Demonstrations(Sequence[Episode]):
         self.action_ranges = {n: (low, high) for n, (low, high) in self.about["action_ranges"].items()}
         """Values (m, rad) of -1 and 1 in an action, by name."""
 
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """Parameters of the environment, by name."""
+        return {**self.about["configuration"], **self._changed}
+
     def make_env(self, **parameters: Any) -> gymnasium.Env[Any, Any]:
         """Make the environment of the episodes; the module of a user's task is imported.
 
@@ -139,8 +144,7 @@ class Demonstrations(Sequence[Episode]):
         """
         if self.env_id not in gymnasium.registry:
             register(self.env_id, self.about["recipe"])
-        parameters = {**self.about["configuration"], **self._changed, **parameters}
-        return gymnasium.make(self.env_id, **parameters)
+        return gymnasium.make(self.env_id, **{**self.parameters, **parameters})
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the file atomically; its folder is made."""

@@ -59,8 +59,7 @@ def export_robomimic(
                 found = observations(index, demonstrations, core, cameras, object_poses)
                 group = _write(data.create_group(name), demonstrations[index], list(found))
                 group.attrs["ep_meta"] = json.dumps({"lang": core.instruction})
-            kwargs = demonstrations.about["configuration"]
-            gym_type = 2  # robomimic's EnvType
+            gym_type, kwargs = 2, demonstrations.parameters  # 2 is in robomimic's EnvType
             env_args = {"env_name": demonstrations.env_id, "type": gym_type, "env_kwargs": kwargs}
             data.attrs["env_args"] = json.dumps(env_args)
             data.attrs["total"] = sum(group.attrs["num_samples"] for group in data.values())

@@ -23,11 +23,18 @@ class Mesh:
 
     @classmethod
     def of(cls, vertices: ArrayLike, faces: ArrayLike) -> "Mesh":
-        """Build a mesh from array-likes."""
-        return cls(
-            np.ascontiguousarray(vertices, dtype=np.float64).reshape(-1, 3),
-            np.ascontiguousarray(faces, dtype=np.int32).reshape(-1, 3),
-        )
+        """Build a mesh from copies of array-likes.
+
+        :raises ValueError: a vertex is not finite, or a face has a vertex that does not exist
+        """
+        points = np.array(vertices, dtype=np.float64).reshape(-1, 3)
+        corners = np.array(faces, dtype=np.int32).reshape(-1, 3)
+        if not np.isfinite(points).all():
+            raise ValueError("vertices must be finite numbers, got NaN or infinity")
+        if corners.size and not 0 <= corners.min() <= corners.max() < len(points):
+            got = f"{corners.min()} to {corners.max()}"
+            raise ValueError(f"faces must be indices of {len(points)} vertices, from 0 on, got {got}")
+        return cls(points, corners)
 
     @classmethod
     def box(cls, extents: Sequence[float], centre: Sequence[float] = (0.0, 0.0, 0.0)) -> "Mesh":

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bulletarm_gym.config import ORTHOGRAPHIC
+from bulletarm_gym.config_checks import check_fields, instance, numbers
 from bulletarm_gym.geometry import FloatArray, Pose, Rectangle, matrix
 from bulletarm_gym.observations.cameras import SIDE_HEIGHT, SIDE_PIXELS, side_cameras
 from bulletarm_gym.observations.rasterizer import Labels, Window, ZBuffer, project_points, rectangle_mask
@@ -35,6 +36,9 @@ class Overlay:
 
     rectangle: Rectangle
     rise: float
+
+    def __post_init__(self) -> None:
+        check_fields(self, {"rectangle": instance(Rectangle), "rise": numbers()})
 
 
 @dataclass(frozen=True)

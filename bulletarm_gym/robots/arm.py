@@ -139,7 +139,7 @@ class Arm:
 
     def _solve(self, pose: Pose) -> list[float]:
         joints, error = self._inverse(pose)
-        if error > POSITION_TOLERANCE:
+        if not error <= POSITION_TOLERANCE:  # it is NaN for a pose that is not finite
             raise OutOfReachError(f"robot {self.model.name!r} cannot reach {pose}, the error is {error:.4f}")
         solution: list[float] = joints.tolist()
         return solution

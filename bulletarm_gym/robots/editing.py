@@ -7,7 +7,7 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from bulletarm_gym.config_checks import check_argument
+from bulletarm_gym.config_checks import check_argument, check_fields, choice, numbers
 from bulletarm_gym.geometry import Pose, Vector, conjugate, euler_pose, rotate
 from bulletarm_gym.geometry.poses import pose_check
 from bulletarm_gym.simulation import urdf
@@ -151,6 +151,10 @@ class Primitive:
     pose: Pose
     colour: RGB
     solid: bool = True
+
+    def __post_init__(self) -> None:
+        kind, extents = choice("box", "cylinder"), numbers("positive", 3)
+        check_fields(self, {"kind": kind, "extents": extents, "pose": pose_check})
 
     def add_to(self, link: Element, frame: Pose | None = None, visible: bool = True) -> None:
         """Add the visual and the collision element to a link, at a pose in a frame of the link."""

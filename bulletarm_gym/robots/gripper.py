@@ -6,13 +6,23 @@ down. Its x axis is the opening direction.
 
 import math
 from collections.abc import Callable
+from copy import deepcopy
 from dataclasses import dataclass, field
 from xml.etree.ElementTree import Element
 
 from bulletarm_gym.config_checks import check_argument, check_fields, function, instances, numbers, rule
 from bulletarm_gym.geometry import Pose, Vector, euler_pose
 from bulletarm_gym.geometry.poses import pose_check
-from bulletarm_gym.robots.editing import DARK, LIGHT, RGB, Primitive, add_link, box, joints_below
+from bulletarm_gym.robots.editing import (
+    DARK,
+    LIGHT,
+    RGB,
+    Primitive,
+    add_link,
+    box,
+    check_element,
+    joints_below,
+)
 from bulletarm_gym.simulation.urdf import add_joint, find
 
 FINGER_MASS = 0.05
@@ -100,11 +110,12 @@ class ParallelJaw(Gripper):
 
         :param arm: function that returns the URDF of the arm
         :param flange: pose of the flange in the link
-        :raises ValueError: the model has no such link, or the link carries a gripper
+        :raises ValueError: ``arm`` returns something else, the model has no such link, or the link carries a
+            gripper
         """
         flange = check_argument("flange", flange, pose_check)
         check_argument("arm", arm, function)
-        root = arm()
+        check_element("arm()", root := deepcopy(arm()))
         carrier = find(root, "link", link)
         for joint in joints_below(root, link):
             if joint.get("type") != "fixed":

@@ -81,6 +81,7 @@ class RobotModel:
         root = self.load()
         try:
             check_element("load()", root)
+            root = copy.deepcopy(root)  # another model may load the same element
             prepare(root, self.joints, self.gripper, self.tool)
         except ValueError as error:
             raise ValueError(f"robot {self.name!r}: {error}") from error

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bulletarm_gym.config import MAX_TRANSLATION
-from bulletarm_gym.config_checks import check_argument, numbers, rule
+from bulletarm_gym.config_checks import check_argument, number, numbers, rule
 from bulletarm_gym.geometry import Pose, Vector, interpolate
 from bulletarm_gym.robots.arm import CLEAR_ABOVE, FREE_CLEARANCE, MAX_SHIFTS, CollidingArm, path_length
 from bulletarm_gym.robots.kinematics import POSITION_TOLERANCE
@@ -42,6 +42,9 @@ SLIDE_GAP = 1e-3
 """Distance (m) by which a sliding arm moves away from what blocked it, so that it presses less."""
 MAX_PUSHED_RATIO = 0.2
 """Fraction of the stroke by which fingers pushed closed by a contact stay closed until the next command."""
+
+RATIO = number(0.0, 1.0, "a number from 0 to 1")
+"""Check of opening ratios."""
 
 
 def transfer_stops(start: Pose, end: Pose) -> Iterator[Pose]:
@@ -201,7 +204,11 @@ class Robot(CollidingArm):
             self.begin()
 
     def set_opening(self, ratio: float) -> None:
-        """Move the fingers to a fraction of the stroke, 0 closed to 1 open. An object between stops them."""
+        """Move the fingers to a fraction of the stroke, 0 closed to 1 open. An object between stops them.
+
+        :raises ValueError: ``ratio`` is not a number from 0 to 1
+        """
+        ratio = check_argument("ratio", ratio, RATIO)
         command = ratio * self.model.gripper.stroke
         pushed = ratio - self.opening_ratio > MAX_PUSHED_RATIO
         if abs(command - self._command) < OPENING_TOLERANCE and not pushed:

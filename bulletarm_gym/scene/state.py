@@ -26,7 +26,7 @@ DECIMALS = 5
 class EnvState:
     """State of an environment, from which it continues exactly; picklable.
 
-    :param cast: index of the variant of each object slot
+    :param variants: number of the body that fills each object slot, in their order
     :param sensors: memories of the sensors, by name
     :param memory: the task's memory
     :param control: the control's memory
@@ -42,7 +42,7 @@ class EnvState:
 
     world: WorldState
     robot: RobotState
-    cast: tuple[int, ...]
+    variants: tuple[int, ...]
     sensors: dict[str, Any]
     memory: Any
     control: Any

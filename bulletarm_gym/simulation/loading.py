@@ -189,7 +189,7 @@ def _mesh_arguments(triangles: bytes) -> dict[str, list[Any]]:
     """Return PyBullet's arguments for float64 triangles (m), cached: PyBullet never releases lists."""
     corners = np.frombuffer(triangles).reshape(-1, 3, 3)
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)  # faces may have no area
     vertices = corners.reshape(-1, 3).tolist()
     indices = list(range(len(vertices)))
     return {"vertices": vertices, "indices": indices, "normals": np.repeat(normals, 3, axis=0).tolist()}

@@ -12,9 +12,9 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from bulletarm_gym.config_checks import Check, check_fields, colour, instance, instances, numbers
+from bulletarm_gym.config_checks import Check, check_fields, colour, instance, instances, numbers, rule
 from bulletarm_gym.geometry import FloatArray, Mesh, Pose, Vector, join, mass_properties
-from bulletarm_gym.geometry.poses import pose_check
+from bulletarm_gym.geometry.poses import UNIT_TOLERANCE, pose_check
 
 Colour: TypeAlias = tuple[float, float, float, float]
 """Red, green, blue and opacity, 0 to 1."""
@@ -47,6 +47,9 @@ class Convex:
 
     mesh: Mesh
 
+    def __post_init__(self) -> None:
+        check_fields(self, {"mesh": instance(Mesh)})
+
 
 Shape: TypeAlias = Box | Convex
 
@@ -77,6 +80,11 @@ class Piece:
 
 PIECES = instances(Piece, "pieces")
 """Check of the pieces of a body."""
+JOINT: dict[str, Check] = {
+    "axis": rule("a unit vector", lambda v: abs(math.hypot(*v) - 1.0) < UNIT_TOLERANCE, numbers(count=3)),
+    "limits": rule("[low, high] in ascending order", lambda ends: ends[0] <= ends[1], numbers(count=2)),
+}
+"""Checks of the fields of a moving part that describe its joint."""
 FRICTIONS = ("friction", "rolling_friction", "spinning_friction")
 """Names of the friction coefficients of a body."""
 
@@ -108,8 +116,8 @@ class MovingPart:
     colour: Colour = RED
 
     def __post_init__(self) -> None:
-        vectors = {"axis": numbers(count=3), "limits": numbers(count=2), "colour": colour}
-        check_fields(self, {"pieces": PIECES, **amounts("mass", "friction", "resistance"), **vectors})
+        fields = {"pieces": PIECES, **amounts("mass", "friction", "resistance"), **JOINT, "colour": colour}
+        check_fields(self, fields)
 
     @property
     def mesh(self) -> Mesh:
@@ -134,6 +142,10 @@ class Hinge(MovingPart):
     """
 
     pivot: Vector = ORIGIN.position
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_fields(self, {"pivot": numbers(count=3)})
 
     def moved(self, angle: float) -> Pose:
         """Return the pose in the body's frame of the body's origin, rotated with the part (rad)."""

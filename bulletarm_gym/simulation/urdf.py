@@ -125,14 +125,14 @@ def children_of(root: Element, link: str) -> list[Element]:
 
 
 def numbers_of(element: Element | None, key: str, count: int, default: str = "") -> list[float]:
-    """Return the ``count`` numbers in an attribute, or raise ValueError."""
+    """Return the ``count`` finite numbers in an attribute, or raise ValueError."""
     text = default if element is None else element.get(key, default)
     try:
         values = [float(word) for word in text.split()]
     except ValueError:
         values = []
-    if len(values) != count:
-        wanted = "a number" if count == 1 else f"{count} numbers"
+    if len(values) != count or not all(map(math.isfinite, values)):
+        wanted = "a finite number" if count == 1 else f"{count} finite numbers"
         tag = "" if element is None else element.tag
         raise ValueError(f"{key} of <{tag}> must be {wanted}, got {text!r}")
     return values

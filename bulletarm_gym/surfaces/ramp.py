@@ -37,7 +37,8 @@ def plate(name: str, length: float, width: float) -> BodySpec:
     It becomes shorter in steps towards its upper side, where corners outside the workspace would touch the
     arm.
     """
-    cut = (2.0 - math.sqrt(2.0)) * length / 2.0 / STEPS  # the corners outside the inscribed circle
+    corner = (2.0 - math.sqrt(2.0)) * length / 2.0  # outside the inscribed circle
+    cut = min(corner, width) / STEPS  # in a small workspace a plate is shorter than its corner
     depths = [width - (STEPS - 1) * cut, *[cut] * (STEPS - 1)]
     rows = []
     for step, depth in enumerate(depths):
@@ -91,7 +92,7 @@ class RampSurface(Surface):
         self._world = world
         self._half_diagonal = (self.workspace[0][1] - self.workspace[0][0]) / math.sqrt(2.0)
         widest = (self._half_diagonal - NEAREST_EDGE) / math.cos(SLOPE) + PLATE_OVERHANG
-        self._widths = np.linspace(self._half_diagonal - FARTHEST_EDGE, widest, WIDTHS + 1)[1:]
+        self._widths = np.linspace(max(self._half_diagonal - FARTHEST_EDGE, 0.0), widest, WIDTHS + 1)[1:]
         length = 2.0 * (self._half_diagonal + PLATE_OVERHANG)
         self.bodies.append(world.add_plane(FLOOR))
         self._plates = [

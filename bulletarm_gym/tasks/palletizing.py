@@ -45,7 +45,8 @@ class BoxPalletizing(Task):
     Description: a fixed pallet, 23.2 x 19.2 x 3 cm, and a box, 7.2 x 4.5 x 4.5 cm. When all present boxes are
     placed correctly and the gripper is empty, the next box appears, until there are N: 18, 12 or 6.
     Randomisation: position and yaw of the pallet, and of each new box next to it. With
-    ``random_orientation=False`` the pallet's long side is along y and a new box has the yaw of its layer.
+    ``random_orientation=False`` the pallet's long side is along y and a new box has the yaw of its layer. All
+    boxes of an episode have the same size.
     Success: all N boxes are placed correctly: six per layer from the bottom up, upright, their yaws within
     22.5 degrees of their layer's, which is along the pallet's long side in the first and third layer, across
     it in the second. The gripper is empty and nothing moves.
@@ -83,7 +84,8 @@ class BoxPalletizing(Task):
         return GraspParams(pick_offset=PICK_OFFSET * max(self.config.scales))
 
     def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
-        boxes = [scaled(config, f"box {number}", palletizing_box) for number in range(config.num_objects)]
+        names = [f"box {number}" for number in range(config.num_objects)]
+        boxes = [scaled(config, name, palletizing_box, like=names[0] * (name != names[0])) for name in names]
         return [ObjectSlot("pallet", (pallet("pallet"),)), *boxes]
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
@@ -165,7 +167,7 @@ class BoxPalletizing(Task):
     def _layer(self, scene: Scene, box: SceneObject) -> int | None:
         """Return the layer in which a box is placed correctly."""
         frame = scene["pallet"].pose.inverse().compose(resting_frame(box))
-        level = (frame.z - PALLET[2]) / (BOX[2] * max(self.config.scales)) - 0.5
+        level = (frame.z - PALLET[2]) / box.spec.extents[2] - 0.5
         layer = round(level)
         stands = layer >= 0 and abs(level - layer) < LAYER_TOLERANCE and frame.tilt < UPRIGHT
         yaw_error = abs(wrap_angle(frame.yaw - layer_yaw(layer), math.pi))
@@ -174,7 +176,7 @@ class BoxPalletizing(Task):
     def _free(self, scene: Scene, held: SceneObject) -> list[Pose]:
         """Return the free places of the lowest layer that is not full, in the world."""
         layer = min(len(self._correct(scene)) // LAYER, self._layers - 1)
-        width, length, height = (side * max(self.config.scales) for side in BOX)
+        width, length, height = held.spec.extents
         base = scene["pallet"].pose.compose(Pose((0.0, 0.0, PALLET[2] + layer * height)))
         others = [box for box in loose_objects(scene) if box is not held]
         taken = [footprint(box) for box in others if scene.world.top(box.body) > base.z + height / 2.0]

@@ -13,11 +13,13 @@ from bulletarm_gym.config import TaskDefaults
 from bulletarm_gym.control import DeltaMove, GraspParams
 from bulletarm_gym.demonstrations import Demonstrations, export_lerobot, export_minari, export_rlds
 from bulletarm_gym.demonstrations.robomimic import export_robomimic
-from bulletarm_gym.geometry import Pose
-from bulletarm_gym.real_arm import open_loop_heightmap
-from bulletarm_gym.robots import KUKA, ParallelJaw, attach
+from bulletarm_gym.geometry import Mesh, Pose, Rectangle
+from bulletarm_gym.observations import Overlay
+from bulletarm_gym.real_arm import close_loop_heightmap, elevation_map, in_hand_image, open_loop_heightmap
+from bulletarm_gym.robots import KUKA, OutOfReachError, ParallelJaw, attach
+from bulletarm_gym.robots.editing import LIGHT, box
 from bulletarm_gym.scene import ObjectSlot
-from bulletarm_gym.simulation import BodySpec, Box, Piece, Slide
+from bulletarm_gym.simulation import BodySpec, Box, Convex, Hinge, Piece, Slide
 from bulletarm_gym.tasks import Waypoint
 from bulletarm_gym.tasks.picking import BlockPicking
 from bulletarm_gym.vector import reset_to_states
@@ -25,6 +27,9 @@ from bulletarm_gym.wrappers import GoalObservation
 
 BOX = Piece(Box((0.1, 0.1, 0.1)))
 SPEC = BodySpec("brick", (BOX,), 0.1)
+BOLT = Slide("bolt", (BOX,), 0.1, (1, 0, 0), (0, 1))
+PART = box((0.1, 0.1, 0.1), (0.0, 0.0, 0.0), LIGHT)
+OVERLAY = Overlay(Rectangle(0.0, 0.0, 1.0, 1.0, 0.0), 0.02)
 JAW = KUKA.gripper
 RECORDS = [
     (KUKA, "base", (0.1, 0.0, 0.0), r"got \(0\.1"),
@@ -46,14 +51,26 @@ RECORDS = [
     (BOX, "shape", (0.1, 0.1, 0.1), r"got \(0\.1"),
     (BOX, "pose", (0.1, 0.1, 0.1), r"got \(0\.1"),
     (Box((1.0, 1.0, 1.0)), "extents", (1, 1), r"got \(1, 1\)"),
-    (Slide("bolt", (BOX,), 0.1, (1, 0, 0), (0, 1)), "resistance", "1", "got '1'"),
+    (BOLT, "resistance", "1", "got '1'"),
+    (BOLT, "axis", (0.0, 0.0, 2.0), r"a unit vector, got \(0\.0"),
+    (BOLT, "limits", (0.1, 0.0), r"ascending order, got \(0\.1"),
+    (Hinge("lid", (BOX,), 0.1, (1, 0, 0), (0, 1)), "pivot", (0.0, 0.0), r"got \(0\.0"),
+    (Convex(Mesh.box((0.1, 0.1, 0.1))), "mesh", "cube.obj", "got 'cube.obj'"),
+    (PART, "kind", "sphere", "got 'sphere'"),
+    (PART, "extents", (0.1, 0.0, 0.1), r"positive numbers, got \(0\.1"),
+    (OVERLAY, "rise", np.nan, "got nan"),
+    (OVERLAY, "rectangle", (0.0, 0.0, 1.0, 1.0, 0.0), r"got \(0\.0"),
     (ObjectSlot("cube", (SPEC,)), "variants", SPEC, "got BodySpec"),
     (GraspParams(0.1), "pick_offset", None, "got None"),
     (Waypoint(Pose((0.0, 0.0, 0.1)), 1.0), "pose", (0.0, 0.0, 0.1), r"got \(0\.0"),
     (Waypoint(Pose((0.0, 0.0, 0.1)), 1.0), "gripper", "open", "got 'open'"),
+    (Waypoint(Pose((0.0, 0.0, 0.1)), 1.0), "gripper", 85.0, "from 0 to 1, got 85"),
+    (Waypoint(Pose((0.0, 0.0, 0.1)), 1.0), "finish", -1.0, "from 0 to 1, got -1"),
     (TaskDefaults(1), "allowed_objects", 3, "got 3"),
     (TaskDefaults(1), "sensors", "color", "got 'color'"),
 ]
+FLAT = [[0.2, 0.6], [-0.1, 0.1], [0.0, 1.0]]
+"""Limits (m) of a workspace that is not square."""
 EXPORTS = [export_lerobot, export_minari, export_rlds, export_robomimic]
 
 
@@ -95,6 +112,16 @@ def test_methods_name_the_argument(picking):
         ("move", "None"): partial(picking.encode_action, None),
         ("move", "DeltaMove.*'1'"): partial(picking.encode_action, DeltaMove("1", (0.0, 0.0, 0.0))),
         ("points", "'cloud'"): partial(open_loop_heightmap, "cloud"),
+        ("workspace", r"\[\[0\.2"): partial(open_loop_heightmap, np.zeros((1, 3)), FLAT),
+        ("workspace", r"\[\[0\.2.*"): partial(close_loop_heightmap, np.zeros((1, 3)), cube.pose, 0.0, FLAT),
+        ("heightmap", "array"): partial(elevation_map, np.zeros((8, 8))),
+        ("heightmap", "array.*nan"): partial(elevation_map, np.full((1, 8, 8), np.nan)),
+        ("size", "8.5"): partial(in_hand_image, np.zeros((1, 8, 8)), cube.pose, size=8.5),
+        ("ratio", "nan"): partial(picking.control.robot.set_opening, np.nan),
+        ("ratio", "5"): partial(picking.control.robot.set_opening, 5),
+        ("faces", "0 to 3"): partial(Mesh.of, np.eye(3), [[0, 1, 3]]),
+        ("faces", "-1 to 1"): partial(Mesh.of, np.eye(3), [[0, 1, -1]]),
+        ("vertices", "NaN"): partial(Mesh.of, np.full((3, 3), np.inf), [[0, 1, 2]]),
         ("image", "'demos.h5'"): partial(Demonstrations, "demos.h5"),
         ("env", "<.*CartPole"): partial(GoalObservation, gymnasium.make("CartPole-v1")),
         ("observation", r"\[{'name': 3}\]"): partial(gymnasium.make, PICKING, observation=[{"name": 3}]),
@@ -113,6 +140,8 @@ def test_methods_name_the_argument(picking):
     for (name, value), call in calls.items():
         with pytest.raises(ValueError, match=f"^{name} must be .*, got {value}"):
             call()
+    with pytest.raises(OutOfReachError, match="nan"):
+        picking.control.robot.move_to(Pose((np.nan, 0.0, 0.2)))
     picking.reset(seed=0)
     reset_to_states(envs, iter([picking.get_state()] * 2))
     envs.close()

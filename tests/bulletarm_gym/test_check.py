@@ -82,6 +82,7 @@ def test_invalid_argument_is_rejected_before_the_checks(capsys):
     for arguments, word in (
         ([REACHING, "--env-kwargs", "obs_size:-1"], "obs_size"),
         ([REACHING, "--robot", "kuka"], "--robot"),
+        ([REACHING, "--seed", "-1"], "--seed"),
         (["--image", "arm.png"], "--image"),
         (["--robot", "kuka", "--image", "missing/arm.png"], "missing/arm.png"),
     ):

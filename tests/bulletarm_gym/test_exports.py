@@ -12,7 +12,15 @@ import numpy as np
 import pytest
 from rollouts import PICKING, core_of
 
-from bulletarm_gym.demonstrations import collect, export_lerobot, export_minari, export_rlds, exports, rlds
+from bulletarm_gym.demonstrations import (
+    Demonstrations,
+    collect,
+    export_lerobot,
+    export_minari,
+    export_rlds,
+    exports,
+    rlds,
+)
 from bulletarm_gym.demonstrations.robomimic import export_robomimic
 
 DRAWER = "BulletArm/CloseLoopDrawerOpening-v0"
@@ -110,6 +118,15 @@ def test_robomimic_file(picked, tmp_path):
     with pytest.raises(ValueError, match=r"valid_ratio must be a number from 0 to 1, got 2"):
         export_robomimic(picked, tmp_path / "other", valid_ratio=2)
     assert_refusals(partial(export_robomimic, picked), path)
+
+
+def test_robomimic_file_has_the_new_folder_of_the_objects(picked, tmp_path, monkeypatch):
+    moved = Demonstrations(picked.image, object_set=tmp_path)
+    original = picked.make_env()  # the task has no folder
+    monkeypatch.setattr(Demonstrations, "make_env", lambda _: original)
+    path = export_robomimic(moved, tmp_path / "picking.hdf5", cameras={})
+    with h5py.File(path, "r") as file:
+        assert json.loads(file["data"].attrs["env_args"])["env_kwargs"]["object_set"] == str(tmp_path)
 
 
 def assert_refusals(export, path):

@@ -107,6 +107,16 @@ def test_boxes_appear_inside_and_apart(make, env_id, is_random):
             assert math.sin(yaw) == pytest.approx(0.0, abs=1e-3)
 
 
+def test_boxes_of_an_episode_have_one_size(make):
+    env, sizes = make(PALLETIZING, num_objects=6, object_scale_range=[0.6, 0.8]), set()
+    for seed in range(3):
+        env.reset(seed=seed)
+        heights = {box.spec.extents[2] for box in env.scene.objects[1:]}
+        assert len(heights) == 1 and finish(env)[0]
+        sizes |= heights
+    assert len(sizes) > 1
+
+
 def test_episode_ends_if_the_next_box_has_no_free_pose(make):
     pallet = make(PALLETIZING, max_steps=100, seed=0)
     stack(pallet, 1)

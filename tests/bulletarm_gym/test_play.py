@@ -63,6 +63,7 @@ def test_invalid_argument_is_rejected(play, tmp_path, capsys):
         ([PICKING, "--env-kwargs", "robot:octopus"], "octopus"),
         ([PICKING, "--gym-packages", "missing_module"], "missing_module"),
         ([PICKING, "-n", "0"], "--episodes"),
+        ([PICKING, "--seed", "-1"], "--seed"),
     ):
         with pytest.raises(SystemExit, match="2"):
             play("", *arguments)

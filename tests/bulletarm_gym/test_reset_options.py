@@ -124,6 +124,14 @@ def test_options_reach_the_members_of_sb3():
     assert cores[1].get_state() == state
 
 
+def test_options_do_not_change_with_the_callers_dict(make):
+    options = {"object_scale_range": [0.7, 0.7]}
+    env = ResetOptions(make(PICKING, **SIZES), options)
+    options["object_scale_range"][0] = 5.0
+    env.reset(seed=0)
+    assert side(env.unwrapped) == 0.7
+
+
 def test_options_reach_the_members_of_gymnasium():
     parameters = {**SIZES, "randomization": "light"}
     envs = gymnasium.make_vec(PICKING, 2, "sync", wrappers=[ResetOptions], **parameters)

@@ -61,6 +61,16 @@ def test_heightmap_and_simulation_have_the_heights_of_the_surface(env):
     assert np.abs(struck - scene.surface.heights(points))[ground].max() < SKIN
 
 
+@pytest.mark.parametrize("side", [0.04, 0.1, 0.2])
+def test_ramps_fit_small_workspaces(side):
+    ramp = RampSurface([[0.4, 0.4 + side], [0.0, side], [0.0, 0.3]])
+    ramp.load(World(PHYSICS_MODES["fast"]))
+    for seed in range(5):
+        ramp.arrange(np.random.default_rng(seed))
+        assert all(piece.shape.extents[1] > 0.0 for body in ramp.bodies[1:] for piece in body.spec.pieces)
+        assert np.isfinite(ramp.heights([ramp.centre])).all()
+
+
 def test_ranges_of_the_ramps():
     ramp, rng, rows = load("ramp"), np.random.default_rng(0), []
     for _ in range(1000):

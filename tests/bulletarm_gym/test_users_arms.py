@@ -176,6 +176,26 @@ def test_invalid_field_of_a_model_or_a_gripper_is_named():
         assert all(word in str(error.value) for word in words)
 
 
+def test_models_may_load_the_same_element():
+    root = KUKA.load()
+    texts = [replace(KUKA, load=lambda: root).xml for _ in range(2)]
+    assert texts[0] == texts[1] == KUKA.xml
+    arm = without(KUKA.load(), "left_finger", "right_finger")
+    jaw = ParallelJaw(stroke=0.08, palm=(0.1, 0.05, 0.06), finger=(0.01, 0.02, 0.08))
+    made = [to_text(jaw.fitted(lambda: arm, "lbr_iiwa_link_7", ORIGIN)) for _ in range(2)]
+    assert made[0] == made[1]
+    with pytest.raises(ValueError, match=r"^arm\(\) must be the element <robot>"):
+        jaw.fitted(dict, "lbr_iiwa_link_7", ORIGIN)
+
+
+def test_numbers_of_a_urdf_must_be_finite():
+    def change(root):
+        find(root, "joint", KUKA.joints[2]).findall("origin")[0].set("xyz", "0 0 nan")
+
+    with pytest.raises(ValueError, match="xyz of <origin> must be 3 finite numbers, got '0 0 nan'"):
+        _ = changed_kuka(change).chain
+
+
 def test_meshes_of_a_folder_are_found(tmp_path, monkeypatch):
     for folder in ("urdf", "meshes"):
         (tmp_path / "my_arm" / folder).mkdir(parents=True)

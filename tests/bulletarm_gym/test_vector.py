@@ -6,13 +6,14 @@ from functools import partial
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium import spaces
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
 from rollouts import TYPICAL, advance
 from stable_baselines3.common.env_checker import check_env as check_env_sb3
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
 
-from bulletarm_gym.vector import make_multi_task_vec, reset_to_states
+from bulletarm_gym.vector import CommonSpaces, make_multi_task_vec, reset_to_states
 
 ENV_ID = "BulletArm/CloseLoopBlockPicking-v0"
 
@@ -87,6 +88,24 @@ def test_experts_solve_several_tasks_in_common_spaces(ids, kwargs, sequence):
     if ids is CLOSE:
         assert space["color"].shape == (3, 32, 32) and observations["color"][2].any()
         assert not observations["color"][:2].any()
+
+
+def test_members_of_several_tasks_begin_at_states():
+    vector = make_multi_task_vec(CLOSE[:2], obs_size=32)
+    vector.reset(seed=0)
+    states = vector.call("get_state")
+    vector.reset(seed=1)
+    _, infos = reset_to_states(vector, states)
+    assert vector.call("get_state") == states
+    assert infos["_is_held"].tolist() == [True, False] and infos["_is_stacked"].tolist() == [False, True]
+    vector.close()
+
+
+def test_common_spaces_must_include_those_of_the_environment(picking):
+    space = spaces.Dict({**picking.observation_space, "task_id": spaces.Box(0.0, 1.0, (2,), np.float32)})
+    for sequence, task, message in (("pxyz", 0, "action_sequence must be"), ("pxyzr", -1, "task must be")):
+        with pytest.raises(ValueError, match=f"^{message} .*, got "):
+            CommonSpaces(picking, space, sequence, task)
 
 
 def test_numbers_of_other_tasks_do_not_change_the_result():
