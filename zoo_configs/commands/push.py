@@ -26,6 +26,7 @@ def main(args: argparse.Namespace) -> None:
     register_environments(args.gym_packages)
     check_device(args.device)
     if args.folder is not None:
+        args.folder = args.folder.resolve()  # a link stays, and the working directory can be replaced
         _check_replaceable(args.folder)
     run = find_run(query_of(args))
     check_publishable(run)
