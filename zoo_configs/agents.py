@@ -86,6 +86,7 @@ def find_agent(query: AgentQuery) -> Agent:
         return _published_agent(query)
     if query.path is not None and query.path.suffix == ".zip":
         _check_unused(query, "a model file", "baseline", "preset")
+        _check_best(query, "a model file")
         return _agent_of_file(query.path, query)
     return agent_of(find_run(query), query.load_best, query.device)
 
@@ -103,6 +104,12 @@ def _check_unused(query: AgentQuery, source: str, *names: str) -> None:
     """Raise ``CommandError`` if a query has properties that cannot select an agent of its source."""
     if given := [f"--{name}" for name in names if getattr(query, name) is not None]:
         raise CommandError(f"{', '.join(given)} cannot be combined with {source}")
+
+
+def _check_best(query: AgentQuery, source: str) -> None:
+    """Raise ``CommandError`` if a query selects the last model of a source with one model."""
+    if not query.load_best:
+        raise CommandError(f"--load-last cannot be combined with {source}")
 
 
 def register_run(run: Run) -> None:
@@ -151,6 +158,7 @@ def _agent_of_run(run: Run, path: Path, device: str) -> Agent:
 def _agent_of_file(path: Path, query: AgentQuery) -> Agent:
     """Load a model file, with the environment of its run or of ``--env``."""
     if (path.parent / RESOLVED_FILE).is_file() and query.env is None:
+        _check_unused(query, "the model of a run, unless --env is passed", "algo")
         run = load_run(path.parent)
         register_run(run)
         return _agent_of_run(run, path, query.device)
@@ -199,6 +207,7 @@ def _published_agent(query: AgentQuery) -> Agent:
     if query.path is not None:
         raise CommandError("--published names an agent: pass no path")
     _check_unused(query, "--published", "env", "algo", "preset")
+    _check_best(query, "--published")
     card = find_published(str(query.published), query.baseline)
     register_environments(card.gym_packages)
     known_env_id(card.env)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from yaml.constructor import ConstructorError
 
 from zoo_configs.errors import CommandError, refused
 
@@ -18,7 +19,7 @@ from zoo_configs.errors import CommandError, refused
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
     """Provide a temporary file, with the same suffix, that replaces ``path`` if the block succeeds."""
-    partial = path.with_name(f".{path.stem}-{uuid.uuid4().hex}{path.suffix}")
+    partial = path.with_name(f".{uuid.uuid4().hex}{path.suffix}")  # short, as a long name can be the limit
     with made_folder(path.parent):
         try:
             yield partial
@@ -76,6 +77,15 @@ class Loader(yaml.SafeLoader):
     """Loader of plain data with the scalars of YAML 1.2."""
 
     yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012
+
+    def compose_mapping_node(self, anchor: Any) -> Any:
+        """Compose a mapping; raise ``yaml.YAMLError`` for a repeated key, whose first value would be lost."""
+        node = super().compose_mapping_node(anchor)
+        keys = [(key.tag, key.value) for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
+        if twice := sorted({name for tag, name in keys if keys.count((tag, name)) > 1}):
+            where = node.start_mark
+            raise ConstructorError(None, None, f"each key must be there once, got {', '.join(twice)}", where)
+        return node
 
 
 class Dumper(yaml.SafeDumper):

@@ -140,6 +140,12 @@ def parse_record(argv: Sequence[str]) -> argparse.Namespace:
         parser.error(f"--output must end in .gif or .mp4, got {args.output}")
     if args.expert and (args.env is None or args.path is not None or args.published is not None):
         parser.error("--expert records the expert of --env: pass --env, and neither a path nor --published")
+    of_agents = ("baseline", "algo", "preset", "log_folder", "device", "load_best")
+    if args.expert and (
+        unused := [name for name in of_agents if getattr(args, name) != parser.get_default(name)]
+    ):
+        names = [f"--{name.replace('_', '-')}" for name in unused]
+        parser.error(f"{', '.join(names)} cannot be combined with --expert".replace("load-best", "load-last"))
     return args
 
 
@@ -255,13 +261,19 @@ def parse_list(argv: Sequence[str]) -> argparse.Namespace:
     """
     parser = _parser(parse_list)
     add = parser.add_argument
-    add("--env", help="id of an environment, to list its parameters and defaults")
-    add("--baselines", action="store_true", help="list baselines and presets")
-    add("--published", action="store_true", help="list the published agents")
-    add("-f", "--log-folder", type=Path, help="folder of all runs, to list its runs")
+    add(
+        "--env",
+        help="id of an environment, to list its parameters and defaults, or with --log-folder its runs",
+    )
+    kinds = parser.add_mutually_exclusive_group().add_argument
+    kinds("--baselines", action="store_true", help="list baselines and presets")
+    kinds("--published", action="store_true", help="list the published agents")
+    kinds("-f", "--log-folder", type=Path, help="folder of all runs, to list its runs")
     add_run_filters(parser)
     add_packages(parser)
     args = parser.parse_args(argv)
     if args.log_folder is None and (args.seed is not None or args.device is not None):
         parser.error("--seed and --device need --log-folder")
+    if args.env is not None and (args.baselines or args.published):
+        parser.error("--env cannot be combined with --baselines or --published")
     return args

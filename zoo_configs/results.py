@@ -93,7 +93,7 @@ def read_experiments(
     groups: defaultdict[str, list[Run]] = defaultdict(list)
     for run in find_runs(log_folder):
         is_wanted = env_ids is None or run.experiment.env_id in env_ids
-        is_wanted &= baselines is None or run.experiment.baseline in baselines
+        is_wanted &= baselines is None or run.experiment.label in baselines
         is_wanted &= (seeds is None or run.seed in seeds) and device in (None, run.device)
         if is_wanted and run.evaluations_file.is_file():
             groups[json.dumps(settings_of(run), default=str)].append(run)

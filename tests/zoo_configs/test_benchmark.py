@@ -85,6 +85,8 @@ def test_a_dry_run_lists_sizes_and_writes_nothing(bench, tmp_path, capsys):
         lines = capsys.readouterr().out.splitlines()
         assert lines[1].split()[:4] == ["CloseLoopToy/sac", "0", "7", "1.0"]
         assert lines[3].startswith("2 experiments, 4 runs") and not (tmp_path / "out").exists()
+    for kwargs in None, "dict()":
+        assert bench("--dry-run", hyperparams={**TINY["hyperparams"], "replay_buffer_kwargs": kwargs}) == 0
     [job] = build_jobs(Plan(["CloseLoopBlockPulling"], ["sacfd"], seeds=1), HERE)
     size = size_of(job)
     assert 0.12 < size.memory - 1.0 < 0.13  # 30,000 heightmaps of 64 x 64 bytes
@@ -95,6 +97,10 @@ def test_a_folder_that_is_locked_or_has_other_runs_is_refused(bench, tmp_path, c
     write_resolved(*jobs_of(tmp_path / "out", seeds=1))
     assert bench(hyperparams={**TINY["hyperparams"], "gamma": 0.5}) == 2
     assert "hyperparams" in capsys.readouterr().err
+    for name in "n_timesteps", "eval_freq", "eval_episodes", "n_eval_envs":
+        assert bench("--dry-run", options={**TINY["options"], name: 30}) == 2
+        assert f"{name} " in capsys.readouterr().err
+    assert bench("--dry-run", options={**TINY["options"], "verbose": 1}) == 0
     with run_lock(tmp_path / "out"):
         assert bench() == 2
     assert str(tmp_path / "out") in capsys.readouterr().err
@@ -145,6 +151,12 @@ def test_the_time_of_a_killed_process_counts_up_to_the_checkpoint(tmp_path):
     (tmp_path / "state.yml").write_text(yaml.safe_dump({**how._asdict(), "state": how.state.value}))
     with run_lock(tmp_path, checkpoint):
         assert run_status(tmp_path).seconds == pytest.approx(105.0)
+    # Ctrl-C after 300 s: what follows the checkpoint is trained again.
+    ended = how._replace(state=State.KILLED, until=how.since + 300.0, seconds=305.0)
+    for last, expected in ((checkpoint, 105.0), (None, 0.0)):
+        (tmp_path / "state.yml").write_text(yaml.safe_dump({**ended._asdict(), "state": "killed"}))
+        with run_lock(tmp_path, last):
+            assert run_status(tmp_path).seconds == pytest.approx(expected)
 
 
 def test_runs_that_fail_do_not_stop_the_others(bench, tmp_path, capsys):

@@ -69,6 +69,15 @@ TRAIN -params expert_data:3                                       => expert_data
 TRAIN -params env_wrapper:none.Wrapper                            => env_wrapper
 TRAIN -params "policy_kwargs:dict(net_arch="                      => policy_kwargs
 TRAIN -params noise_type:red                                      => noise_type
+TRAIN -params noise_type:normal                                   => noise_std
+TRAIN -params noise_std:0.5                                       => noise_type
+TRAIN -params ent_coef:.nan                                       => ent_coef
+TRAIN -params env_kwargs:5                                        => env_kwargs must be
+TRAIN -params env_kwargs:null --env-kwargs obs_size:48            => env_kwargs must be
+TRAIN -params "policy_kwargs:{n: 1, n: 2}"                        => once, got n
+TRAIN -params "env_wrapper:{collections.Counter: {}, x.B: {}}"    => one class
+train --algo ppo --env REACHING --env-kwargs observation:5        => observation
+train --algo ppo --env REACHING --env-kwargs observation:[{}]     => observation
 TRAIN -params policy:EquivarantPolicy                             => 'EquivariantPolicy'
 TRAIN -params policy_kwargs:{net_arc:1}                           => policy_kwargs
 TRAIN -params "policy_kwargs:{features_extractor_kwargs: {chanels: []}}" => 'channels'
@@ -90,16 +99,22 @@ record nowhere --expert --env TOY                                 => --expert
 record --expert --env Pendulum-v1                                 => expert
 RECORD -o /dev/null/a.gif                                         => /dev/null
 RECORD -o a.avi                                                   => a.avi
+RECORD --baseline sac --load-last                                 => --baseline, --load-last
+list --published --baselines                                      => --published
+list --published --env TOY                                        => --env
+verify --published ""                                             => published agent
 enjoy nowhere                                                     => nowhere
 enjoy nowhere --env TOY --preset cpu                              => --env, --preset
 enjoy none.zip --env TOY --baseline sac                           => --baseline
 enjoy none.zip --env TOY --algo sac                               => none.zip
+enjoy none.zip --env TOY --load-last                              => --load-last
 enjoy damaged.zip --env Pendulum-v1                               => damaged.zip
 enjoy --env TOY --baseline tqc                                    => tqc
 enjoy --published Frobnication                                    => Frobnication
 enjoy --published blockreaching                                   => CloseLoopBlockReaching
 PUBLISHED --baseline frobnicate                                   => equi_sacfd
 PUBLISHED --env TOY                                               => --env
+PUBLISHED --load-last                                             => --load-last
 plot                                                              => logs
 plot -f tiny.yml                                                  => --log-folder must be a folder
 plot -f nowhere                                                   => --log-folder must be a folder
@@ -130,13 +145,15 @@ PLANS: list[tuple[Any, str]] = [
     ({**TINY, "tasks": ["CloseLoopNothing*"]}, "CloseLoopNothing*"),
     ({**TINY, "baselines": ["x*"]}, "x*"),
     ({**TINY, "preset": "cpuu"}, "'cpu'"),
-    ({**TINY, "preset": 3}, "preset 3"),
+    ({**TINY, "preset": 3}, "preset of bench.yml must be a name, got 3"),
+    ({**TINY, "benchmark": []}, "benchmark of bench.yml"),
     ({**TINY, "seeds": [-1]}, "seeds"),
     ({**TINY, "options": {"eval_frq": 1}}, "'eval_freq'"),
     ({**TINY, "options": 3}, "options"),
     ({**TINY, "options": {"n_timesteps": "5"}}, "--n-timesteps must be of the type int, got '5'"),
     ({**TINY, "hyperparams": {"expert_data": "none.h5"}}, "none.h5"),
     ({**TINY, "variants": {"one_step": 1}}, "one_step"),
+    ({**TINY, "variants": {1: {}, "1": {}}}, "variants of bench.yml"),  # would share a folder
     ({**TINY, "hyperparams": {"gamma": 2}}, "gamma"),
     ({**TINY, "hyperparams": {"env_kwargs": {"obs_size": 8}}}, "obs_size"),
 ]

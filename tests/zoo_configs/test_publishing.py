@@ -223,6 +223,10 @@ def test_only_the_folder_of_an_agent_is_replaced(pushed, run_folder, tmp_path, r
     (folder / "old.txt").touch()
     assert main(["push", str(run_folder), "--folder", str(folder), "-n", "1", "--device", "cpu"]) == 0
     assert {path.name for path in folder.iterdir()} == FILES and read_card(folder).episodes == 1
+    (link := tmp_path / "link").symlink_to(folder)
+    assert main(["push", str(run_folder), "--folder", str(link), "-n", "2", "--device", "cpu"]) == 0
+    assert link.is_symlink() and read_card(folder).episodes == 2
+    assert "working directory" in refuse("push", str(run_folder), "--folder", ".")
     assert "card.json" in refuse("push", str(run_folder), "--folder", str(run_folder))
     shutil.copytree(run_folder, copy := tmp_path / "run")
     file = copy / "hyperparams.yml"

@@ -209,7 +209,7 @@ def test_returns_and_failed_runs_are_in_the_table(tmp_path):
 
 
 def test_record_shows_agent_and_expert(run_folder, tmp_path):
-    video = tmp_path / "agent.gif"
+    video = tmp_path / f"{'agent' * 50}.gif"  # nearly the longest name of a file
     assert main(["record", str(run_folder), "-n", "2", "--device", "cpu", "-o", str(video)]) == 0
     with Image.open(video) as image:
         assert image.n_frames >= 4 and image.size == (640, 352)
@@ -217,7 +217,7 @@ def test_record_shows_agent_and_expert(run_folder, tmp_path):
     words = ["--env", "BulletArm/OpenLoopBlockStacking-v0", "--env-kwargs", "num_objects:2"]
     assert main(["record", "--expert", *words, "-n", "1", "-o", str(video)]) == 0
     assert len(iio.imread(video)) > 10  # of two actions, whose motion is shown
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["agent.gif", "expert.mp4"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [f"{'agent' * 50}.gif", "expert.mp4"]
 
 
 def test_images_have_fixed_scales():

@@ -44,6 +44,35 @@ def test_an_extended_run_equals_a_longer_one(train_tiny, tmp_path, capsys, refus
     assert "model.zip" in refuse("train", "--resume", str(damaged), "-n", "24")
 
 
+def test_a_resumed_run_has_the_tables_and_the_tensorboard_folder_of_its_options(
+    train_tiny, toy_id, tmp_path, capsys, monkeypatch
+):
+    """Runs that share this folder have logs of their own."""
+    folders = []
+
+    class Writer:
+        def __init__(self, log_dir):
+            folders.append(Path(log_dir).relative_to(tmp_path / "tb" / "BulletArm-CloseLoopToy-v0"))
+
+        def __getattr__(self, name):
+            return lambda *args: None
+
+    monkeypatch.setattr(options, "find_spec", lambda name: name)
+    monkeypatch.setattr("stable_baselines3.common.utils.SummaryWriter", Writer)
+    monkeypatch.setattr("stable_baselines3.common.logger.SummaryWriter", Writer)
+    assert train_tiny(tmp_path, "n_envs:1", "--preset", "quick", "--verbose", "0") == 0
+    assert "eval/" not in capsys.readouterr().out and not folders
+    run = tmp_path / "sacfd" / RUN_NAME
+    resume = ["train", "--resume", str(run), "-tb", str(tmp_path / "tb"), "--verbose", "1", "--no-progress"]
+    assert main([*resume, "-n", "18"]) == 0
+    assert "eval/" in capsys.readouterr().out
+    assert len(folders) == 1 and str(folders[0]).startswith(f"sacfd_{RUN_NAME}_")
+
+
+def test_a_model_of_a_run_has_its_algorithm(run_folder, refuse):
+    assert "--algo" in refuse("enjoy", str(run_folder / "best_model.zip"), "--algo", "ppo")
+
+
 def test_a_run_that_cannot_be_resumed_is_one_line(run_folder, refuse):
     fixed = ("--seed", "--baseline", "--env", "--benchmark", "--log-folder")
     for words, text in (

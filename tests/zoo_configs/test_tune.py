@@ -89,14 +89,35 @@ def test_only_a_trial_of_a_dead_process_is_repeated(tune, tmp_path):
     assert folders == {"trial_0000", "trial_0001"}
 
 
+@pytest.mark.parametrize("killed_after", [None, "add_trial"])
+def test_a_baseline_whose_process_dies_at_once_is_repeated_once(killed_after, tune, tmp_path, monkeypatch):
+    """Also if the process that repeats it dies before the first trial has failed."""
+    assert tune("--n-trials", "1") == 0
+    study = study_of(tmp_path, NAME)
+    values = study.trials[0].params
+    study.enqueue_trial(values, {BASELINE: True})
+    study.ask()
+    if killed_after:
+        monkeypatch.setattr(optuna.Study, "tell", interrupt)
+        assert tune("--n-trials", "2") == 130
+        monkeypatch.undo()
+    assert tune("--n-trials", "2") == 0
+    assert states(tmp_path) == ["COMPLETE", "FAIL", "COMPLETE"]
+    assert study_of(tmp_path, NAME).trials[2].params == values
+
+
+def interrupt(*args, **kwargs):
+    raise KeyboardInterrupt
+
+
 def test_a_study_without_a_complete_trial_fails(tune, tmp_path, capsys):
-    (tmp_path / "space.yml").write_text("tau: {choices: [x, y]}")
+    (tmp_path / "space.yml").write_text("ent_coef: {choices: [x, y]}")
     assert tune("--n-trials", "2", "--pruner", "none", "--save-freq", "0") == 0  # the baseline
     assert not list(tmp_path.glob("studies/*/trial_0000/checkpoints"))
     assert states(tmp_path) == ["COMPLETE", "FAIL"]
-    assert "tau" in study_of(tmp_path, NAME).trials[1].user_attrs[ERROR]
-    assert tune("--n-trials", "1", "--study-name", "all", "-params", "tau:x") == 2
-    assert "tau" in capsys.readouterr().err
+    assert "could not convert" in study_of(tmp_path, NAME).trials[1].user_attrs[ERROR]
+    assert tune("--n-trials", "1", "--study-name", "all", "-params", "ent_coef:x") == 2
+    assert "could not convert" in capsys.readouterr().err
 
 
 def test_a_trial_that_falls_behind_is_pruned(tune, tmp_path, monkeypatch):
@@ -201,12 +222,47 @@ def test_a_space_is_extended_by_the_value_of_the_command_line(space, value, stor
 
 
 def test_whole_number_bounds_mean_whole_numbers_except_for_floats(tmp_path):
-    names = ("batch_size", "n_envs", "gamma", "bc_weight")
+    names = ("batch_size", "n_envs", "learning_rate", "bc_weight")
     (file := tmp_path / "space.yml").write_text(yaml.safe_dump({key: {"low": 1, "high": 9} for key in names}))
     space = load_space(resolve("sacfd", "quick", PICKING, {"bc_weight": 3}), {}, file)
     trial = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=0)).ask()
     whole = {parameter.name: isinstance(parameter.suggest(trial), int) for parameter in space}
-    assert whole == {"batch_size": True, "n_envs": True, "gamma": False, "bc_weight": False}
+    assert whole == {"batch_size": True, "n_envs": True, "learning_rate": False, "bc_weight": False}
+
+
+@pytest.mark.parametrize(
+    ("space", "named"),
+    [
+        ("n_timesteps: {low: 6, high: 20}", "n_timesteps"),
+        ("seed: {low: 1, high: 20}", "seed"),
+        ("tau: {low: 0.1, high: 0.2, log: no}", "log"),
+        ("tau: {low: 0.1, high: .inf}", "low < high"),
+        ("tau: {low: 0.1, high: 0.2, needs: 5}", "needs"),
+        ("tau: {low: 0.1, high: 0.2}\ntau: {low: 0.3, high: 0.4}", "once, got tau"),
+        ("gamma: {low: 0.5, high: 2.0}", "gamma must be"),
+        ("gamma: {choices: [0.5, .nan]}", "gamma must be"),
+        ("policy_kwargs.nonsense: {low: 1, high: 2}", "nonsense"),
+        ("batch_size: {low: 4.0, high: 8.0}", "batch_size must be"),
+    ],
+)
+def test_a_space_with_values_that_cannot_be_trained_is_refused(space, named, tmp_path):
+    (file := tmp_path / "space.yml").write_text(space)
+    with pytest.raises(CommandError, match=named):
+        load_space(resolve("sacfd", "quick", PICKING), {}, file)
+
+
+def test_values_of_a_space_are_checked_together(tmp_path):
+    (file := tmp_path / "space.yml").write_text(
+        "noise_type: {choices: [null, normal]}\nnoise_std: {low: 0.1, high: 0.2}"
+    )
+    assert (
+        len(
+            load_space(
+                ExperimentConfig("td3", "Pendulum-v1", {"n_timesteps": 9, "policy": "MlpPolicy"}), {}, file
+            )
+        )
+        == 2
+    )
 
 
 def test_an_invalid_space_is_refused():

@@ -81,8 +81,11 @@ def parse_plan(where: str, content: Any) -> Plan:
     for key in ("options", "hyperparams", "variants"):
         if not isinstance(content.get(key, {}), dict):
             raise CommandError(f"{key} of {where} must be a mapping, got {content[key]!r}")
+    for key in ("preset", "benchmark"):
+        if not isinstance(content.get(key), str | None):
+            raise CommandError(f"{key} of {where} must be a name, got {content[key]!r}")
     for name, values in content.get("variants", {}).items():
-        if not isinstance(values, dict) or "/" in str(name):
+        if not isinstance(name, str) or not isinstance(values, dict) or "/" in name:
             raise CommandError(f"variants of {where} must be mappings by name, got {name!r}: {values!r}")
     names = {key: list(map(str, content[key])) for key in ("tasks", "baselines")}
     return Plan(**{**content, **names})

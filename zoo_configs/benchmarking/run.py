@@ -12,13 +12,13 @@ from typing import Any, NamedTuple
 from tqdm import tqdm
 
 from sb3_extensions.replay.buffer import ExpertReplayBuffer
-from zoo_configs.algorithms import algorithm_classes, class_from_path
+from zoo_configs.algorithms import algorithm_classes
 from zoo_configs.drawing.curves import load_curve
 from zoo_configs.environments import make_env, tried_env
 from zoo_configs.errors import CommandError, refused
 from zoo_configs.experiments.validation import check_experiment, check_expert_data
 from zoo_configs.files import check_writable
-from zoo_configs.training.objects import import_classes
+from zoo_configs.training.objects import parsed
 from zoo_configs.training.runs import Run, load_run
 from zoo_configs.training.state import LOCK_FILE, State, run_lock, set_status
 from zoo_configs.training.train import check_same
@@ -51,13 +51,12 @@ def size_of(job: Run) -> Size:
 
 def _buffer_gigabytes(job: Run) -> float:
     """Return the size of the part of the replay buffer that the run fills."""
-    hyperparams = job.experiment.hyperparams
-    path = hyperparams.get("replay_buffer_class")
+    hyperparams = parsed(job.experiment.hyperparams)
     default = getattr(algorithm_classes()[job.experiment.algo], "default_replay_buffer_class", None)
-    cls = class_from_path(path) if path else default
+    cls = hyperparams.get("replay_buffer_class") or default
     if cls is None or not issubclass(cls, ExpertReplayBuffer):
         return 0.0
-    kwargs: dict[str, Any] = dict(import_classes(hyperparams.get("replay_buffer_kwargs", {})))
+    kwargs: dict[str, Any] = hyperparams.get("replay_buffer_kwargs") or {}
     capacity, n_envs = int(hyperparams["buffer_size"]), int(hyperparams.get("n_envs", 1))
     env_kwargs = hyperparams.get("env_kwargs", {})
     with closing(make_env(job.experiment.env_id, env_kwargs)) as env, refused("replay buffer"):

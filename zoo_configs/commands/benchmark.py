@@ -56,7 +56,7 @@ def _runner(
 ) -> Iterator[Runner]:
     """Prepare the machine or the cluster, and provide the function that trains runs."""
     if args.ray is None:
-        n_jobs = int(args.jobs or max(1, (os.cpu_count() or 1) // max(1, int(args.cpus))))
+        n_jobs = int(args.jobs or max(1, (os.cpu_count() or 1) / args.cpus))
         yield lambda waiting, look: run_here(waiting, n_jobs, look)
         return
     with connected(args.ray, folder, args.gym_packages) as token:

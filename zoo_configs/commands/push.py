@@ -26,6 +26,7 @@ def main(args: argparse.Namespace) -> None:
     register_environments(args.gym_packages)
     check_device(args.device)
     if args.folder is not None:
+        args.folder = args.folder.resolve()  # a link stays
         _check_replaceable(args.folder)
     run = find_run(query_of(args))
     check_publishable(run)
@@ -71,6 +72,8 @@ def _pack(agent: Agent, folder: Path, args: argparse.Namespace, repo_id: str | N
 
 def _check_replaceable(folder: Path) -> None:
     """Check that a folder can be written: only an empty folder or that of an agent is replaced."""
+    if folder in (Path.cwd(), *Path.cwd().parents):
+        raise CommandError(f"--folder must not contain the working directory, got {folder}")
     is_empty = folder.is_dir() and not any(folder.iterdir())
     if folder.exists() and not is_empty and not (folder / CARD_FILE).is_file():
         raise CommandError(f"--folder must be new, empty or an agent's ({CARD_FILE}), got {folder}")

@@ -27,7 +27,7 @@ from zoo_configs.training.train import train_run
 
 def main(args: argparse.Namespace) -> None:
     """Run the command."""
-    if args.published:
+    if args.published is not None:
         run, certificate = _of_published(args)
     else:
         run = load_run(args.path)

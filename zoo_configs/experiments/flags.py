@@ -39,6 +39,8 @@ def find_experiment(args: argparse.Namespace) -> ExperimentConfig:
         raise CommandError("name an environment with --env, see bulletarm-zoo list")
     env_id = known_env_id(args.env)
     overrides = dict(args.hyperparams)
+    if not isinstance(overrides.get("env_kwargs", {}), dict):
+        raise CommandError(f"env_kwargs must be a mapping of parameters, got {overrides['env_kwargs']!r}")
     if args.env_kwargs:
         overrides["env_kwargs"] = merge(overrides.get("env_kwargs", {}), args.env_kwargs)
     if args.conf_file is not None:
@@ -112,9 +114,11 @@ def _default_experiment(algo: str, env_id: str, overrides: dict[str, Any]) -> Ex
 
 def _has_images(observation: Any) -> bool:
     """Return True if a list of sensors has one that is not known to return numbers or points."""
-    if isinstance(observation, str):
-        return observation != "state"
-    names = [entry if isinstance(entry, str) else entry.get("sensor", entry["name"]) for entry in observation]
+    if not isinstance(observation, list):
+        return bool(observation != "state")  # the environment rejects other values
+    names = [
+        entry.get("sensor", entry.get("name")) if isinstance(entry, dict) else entry for entry in observation
+    ]
     return any(name not in ("state", "holding", "point_cloud", "joint_state") for name in names)
 
 

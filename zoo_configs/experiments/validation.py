@@ -13,7 +13,7 @@ from sb3_extensions.replay.sampling import make_sampler
 from zoo_configs.algorithms import algorithm_classes, class_from_path
 from zoo_configs.environments import load_expert_data
 from zoo_configs.errors import CommandError, check_names, refused, unknown_name
-from zoo_configs.experiments.config import ExperimentConfig
+from zoo_configs.experiments.config import ExperimentConfig, leaves
 from zoo_configs.files import format_yaml
 from zoo_configs.training.objects import NOISES, TRAINER_KEYS, described_classes, parsed
 
@@ -58,7 +58,7 @@ RANGES: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "env_kwargs": ("a mapping of parameters", lambda value: isinstance(value, Mapping)),
     "gradient_steps": _number(-1, whole=True),
     "learning_rate": (f"{RATE[0]}, or {SCHEDULE_PREFIX}NUMBER", _is_rate),
-    "learning_starts": _number(0, whole=True),
+    **dict.fromkeys(("expert_episodes", "learning_starts", "pretrain_steps"), _number(0, whole=True)),
     "n_timesteps": _number(1),
     "noise_std": _number(0),
     "noise_type": (f"None or one of {', '.join(NOISES)}", [None, *NOISES].__contains__),
@@ -80,8 +80,13 @@ def check_experiment(experiment: ExperimentConfig) -> None:
         if name in experiment.hyperparams and not is_valid(experiment.hyperparams[name]):
             raise CommandError(f"{name} must be {constraint}, got {experiment.hyperparams[name]!r}")
     algorithm = algorithms[experiment.algo]
-    valid = {"policy", *TRAINER_KEYS, *constructor_arguments(algorithm)} - RESERVED_KEYS
+    valid = valid_hyperparams(algorithm)
     check_names(f"hyperparameter of {experiment.algo}", experiment.hyperparams, valid)
+    for name, value in leaves(experiment.hyperparams):
+        if isinstance(value, float) and math.isnan(value):
+            raise CommandError(f"{name} must be a number, got {value}")
+    if ("noise_std" in experiment.hyperparams) != ("noise_type" in experiment.hyperparams):
+        raise CommandError("noise_type and noise_std must be set together")
     for key in ("n_timesteps", "policy"):
         if key not in experiment.hyperparams:
             raise CommandError(f"hyperparameter {key!r} is missing for {experiment.env_id}")
@@ -95,6 +100,11 @@ def check_experiment(experiment: ExperimentConfig) -> None:
             described_classes(value if key in DESCRIBED else None)
     with refused("augmentation"):
         make_augmentation(experiment.hyperparams.get("augmentation"))
+
+
+def valid_hyperparams(algorithm: type[Any]) -> set[str]:
+    """Return the names of the hyperparameters that an experiment with an algorithm can have."""
+    return {"policy", *TRAINER_KEYS, *constructor_arguments(algorithm)} - RESERVED_KEYS
 
 
 def check_expert_data(experiment: ExperimentConfig, env: gym.Env[Any, Any]) -> None:

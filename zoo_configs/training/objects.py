@@ -98,8 +98,10 @@ def described_classes(description: Any) -> list[tuple[type[Any], dict[str, Any]]
     if description is None:
         return []
     entries = description if isinstance(description, list) else [description]
+    if wrong := [entry for entry in entries if isinstance(entry, dict) and len(entry) != 1]:
+        raise ValueError(f"an entry must be one class, or one class with arguments, got {wrong[0]}")
     pairs = [next(iter(entry.items())) if isinstance(entry, dict) else (entry, {}) for entry in entries]
-    return [(class_from_path(path), dict(kwargs)) for path, kwargs in pairs]
+    return [(class_from_path(path), dict(kwargs or {})) for path, kwargs in pairs]
 
 
 def action_noise(noise_type: str, std: float, action_space: spaces.Space[Any]) -> ActionNoise:
@@ -131,7 +133,7 @@ def build_vec_env(
     :param override_existing: Whether new monitor files replace existing ones
     """
     values = parsed(hyperparams)
-    monitor_kwargs = {**values.get("monitor_kwargs", {}), "override_existing": override_existing}
+    monitor_kwargs = {**(values.get("monitor_kwargs") or {}), "override_existing": override_existing}
     if "info_keywords" in monitor_kwargs:  # Monitor requires a tuple
         monitor_kwargs["info_keywords"] = tuple(monitor_kwargs["info_keywords"])
     env = make_vec_env(

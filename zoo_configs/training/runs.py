@@ -188,7 +188,7 @@ class Origin:
     """
     How an agent was trained.
 
-    :param minutes: Training time, None if unknown
+    :param minutes: Training time, None if unknown because the run is being trained or was killed
     :param command: Command line that trains it again
     :param commit: Commit of the code
     :param date: Date of the end of the training
@@ -208,7 +208,7 @@ def origin_of(run: Run) -> Origin:
         about: dict[str, Any] = read_yaml(run.resolved_file)[RUN_KEY]
     how = run.status
     return Origin(
-        minutes=round(how.seconds / 60, 1) if how.since else None,
+        minutes=round(how.seconds / 60, 1) if how.until else None,
         command=repeating_command(run),
         commit=about["commit"],
         date=day(how.until or (how.since or time.time()) + how.seconds),

@@ -36,7 +36,7 @@ class RunStatus(NamedTuple):
 
     :param host: Host name of the latest machine
     :param since: Start of the latest process, in seconds since 1970
-    :param seconds: Training time of all processes together
+    :param seconds: Training time of all processes together, without time steps that were trained again
     :param error: Reason for a failure
     :param until: End of that process, in seconds since 1970; 0 while it runs or if it was killed
     """
@@ -75,14 +75,14 @@ def is_locked(path: Path) -> bool:
     """Return True if a process has locked a file."""
     if not path.is_file():
         return False
-    with path.open("a") as file:
-        return not lock(file)
+    with path.open() as file:  # also in a folder that is read-only
+        return not lock(file, fcntl.LOCK_SH)
 
 
-def lock(file: IO[str]) -> bool:
+def lock(file: IO[str], kind: int = fcntl.LOCK_EX) -> bool:
     """Lock a file until it is closed or the process ends; return False if another process has locked it."""
     try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(file, kind | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
     return True
@@ -127,10 +127,13 @@ def run_lock(folder: Path, checkpoint: Path | None = None) -> Iterator[None]:
 
 
 def _spent(before: RunStatus, checkpoint: Path | None) -> float:
-    """Return the earlier training time, that of a killed process up to its last checkpoint."""
-    if checkpoint is None or before.until or not before.since or before.state is State.DONE:
-        return before.seconds
-    return before.seconds + max(0.0, checkpoint.stat().st_mtime - before.since)
+    """Return the earlier training time up to the checkpoint, after which all is trained again."""
+    if checkpoint is None or not before.since:
+        return 0.0
+    earlier, end = before.seconds, checkpoint.stat().st_mtime
+    if before.until:  # its seconds contain those of the latest process
+        earlier, end = earlier - (before.until - before.since), min(end, before.until)
+    return earlier + max(0.0, end - before.since)
 
 
 def _ended(begun: RunStatus, state: State, error: str = "") -> RunStatus:

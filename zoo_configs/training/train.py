@@ -26,6 +26,9 @@ from zoo_configs.training.runs import Run, claim_run_folder, clear, load_run, wr
 from zoo_configs.training.state import State, run_lock
 from zoo_configs.training.trainer import Trainer
 
+RESULT_OPTIONS = ("n_timesteps", "eval_freq", "eval_episodes", "n_eval_envs", "trained_agent")
+"""Options of a training that change its result or its evaluations."""
+
 
 class TrainingInterrupted(KeyboardInterrupt):
     """Ctrl-C ended the training of ``run``, whose model is saved."""
@@ -114,12 +117,16 @@ def check_run(run: Run, allow_mismatched_demos: bool) -> None:
 
 
 def check_same(found: Run, wanted: Run) -> None:
-    """Raise ``CommandError`` if a run folder has another experiment or seed than the run to train there."""
+    """Raise ``CommandError`` if a run folder has another training than the run to train there."""
     for name in ("algo", "env_id", "hyperparams", "benchmark"):
         if getattr(found.experiment, name) != getattr(wanted.experiment, name):
             raise CommandError(f"{found.folder} has a run with different {name}. Use another folder.")
-    if found.seed != wanted.seed:
-        raise CommandError(f"{found.folder} has a run with seed {found.seed}, not {wanted.seed}")
+    theirs, ours = (
+        {"seed": run.seed, **asdict(run.options), "n_timesteps": run.n_timesteps} for run in (found, wanted)
+    )
+    for name in ("seed", *RESULT_OPTIONS):
+        if theirs[name] != ours[name]:
+            raise CommandError(f"{found.folder} has a run with {name} {theirs[name]}, not {ours[name]}")
 
 
 def train_run(

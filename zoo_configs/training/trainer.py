@@ -79,6 +79,8 @@ class Trainer:
         steps = self.run.n_timesteps - (self.model.num_timesteps if self.checkpoint else 0)
         # By default our algorithms show bars for demonstrations and pretraining on a terminal.
         options: dict[str, Any] = {} if self.progress else {"progress_bar": False}
+        # A resumed run continues the latest log of its name, so that this must not be another run's.
+        options["tb_log_name"] = "_".join(self.run.folder.absolute().parts[-2:])
         try:
             self.model.learn(
                 steps, callback=self.callbacks, reset_num_timesteps=self.checkpoint is None, **options
@@ -135,6 +137,7 @@ class Trainer:
         """Load the model of a checkpoint or file, or build a new one."""
         if self.checkpoint is not None:
             resumed = resume(self.checkpoint, env, self.run.device)
+            resumed.verbose, resumed.tensorboard_log = self.verbose, self._tensorboard_folder
             cut_monitor_files(self.run, env.get_attr("total_steps"))
             return resumed
         kwargs = self._constructor_kwargs(env)
@@ -156,15 +159,18 @@ class Trainer:
             episodes.env_id = self.run.experiment.env_id  # checked, or allowed to differ
         if values.get("noise_type") is not None:
             values["action_noise"] = action_noise(values["noise_type"], values["noise_std"], env.action_space)
-        folder = self.options.tensorboard_log
-        tensorboard = str(Path(folder) / env_folder_name(self.run.experiment.env_id)) if folder else None
         return {
             **{key: value for key, value in values.items() if key not in TRAINER_KEYS},
             "seed": self.run.seed,
             "device": self.run.device,
             "verbose": self.verbose,
-            "tensorboard_log": tensorboard,
+            "tensorboard_log": self._tensorboard_folder,
         }
+
+    @property
+    def _tensorboard_folder(self) -> str | None:
+        folder = self.options.tensorboard_log
+        return str(Path(folder) / env_folder_name(self.run.experiment.env_id)) if folder else None
 
     def _check_policy(self, policy: str | type[Any]) -> None:
         """Check that the model file has the policy of the hyperparameters."""

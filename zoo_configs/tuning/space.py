@@ -4,7 +4,7 @@ import functools
 import inspect
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,8 +14,9 @@ from sb3_extensions.common.env_metadata import constructor_arguments
 from zoo_configs.algorithms import algorithm_classes
 from zoo_configs.errors import CommandError, check_names
 from zoo_configs.experiments.config import ExperimentConfig, look_up, merge
+from zoo_configs.experiments.validation import check_experiment, valid_hyperparams
 from zoo_configs.files import read_yaml
-from zoo_configs.training.objects import SCHEDULE, TRAINER_KEYS
+from zoo_configs.training.objects import SCHEDULE
 
 KEYS = ("low", "high", "log", "choices", "needs")
 BASELINE = "baseline"
@@ -80,15 +81,25 @@ def load_space(
         space = [parameter for parameter in space if _root(parameter.name) not in given]
     else:
         space = parse_space(str(path), read_yaml(path, "--space"))
-    valid = {"policy", *TRAINER_KEYS, *constructor_arguments(algorithm_classes()[algo])}
+    valid = valid_hyperparams(algorithm_classes()[algo]) - {"n_timesteps"}  # those of a trial are an option
     check_names(f"hyperparameter of {algo} in the search space", (_root(item.name) for item in space), valid)
     used = [item for item in space if not item.needs or baseline_value(item.needs, experiment)]
     if not used:
         raise CommandError("the search space is empty: the command line defines all of its hyperparameters")
-    return tuple(
-        item._replace(integer=_is_integer(item, experiment)).including(baseline_value(item.name, experiment))
-        for item in used
-    )
+    whole = [item._replace(integer=_is_integer(item, experiment)) for item in used]
+    if path is not None:
+        _check_values(whole, experiment)
+    return tuple(item.including(baseline_value(item.name, experiment)) for item in whole)
+
+
+def _check_values(space: Iterable[Parameter], experiment: ExperimentConfig) -> None:
+    """Raise ``CommandError`` if an experiment cannot have the choices or the bounds of its parameters."""
+    values = {parameter: parameter.choices or (parameter.low, parameter.high) for parameter in space}
+    for parameter, (first, *_) in values.items():
+        experiment = experiment.overridden(_nested(parameter, first, experiment))
+    for parameter in values:
+        for value in values[parameter]:
+            check_experiment(experiment.overridden(_nested(parameter, value, experiment)))
 
 
 @functools.cache
@@ -108,6 +119,10 @@ def _parse_parameter(where: str, name: str, given: Any) -> Parameter:
     if not isinstance(given, Mapping):
         raise CommandError(f"{name} of {where} must have low and high, or choices, got {given!r}")
     check_names(f"key of {name} of {where}", map(str, given), KEYS)
+    if not isinstance(given.get("log", False), bool) or not isinstance(given.get("needs", ""), str):
+        raise CommandError(
+            f"{name} of {where}: log must be true or false, and needs a name, got {dict(given)}"
+        )
     if "choices" in given:
         choices = given["choices"]
         if given.keys() - {"choices", "needs"} or not isinstance(choices, list) or not choices:
@@ -169,13 +184,19 @@ def sample_params(
         return {}
     sampled: dict[str, Any] = {}
     for parameter in space:
-        value, before = parameter.suggest(trial), look_up(experiment.hyperparams, parameter.name)
-        if isinstance(before, str) and (schedule := SCHEDULE.fullmatch(before)) and not parameter.choices:
-            value = f"{schedule[1]}{value}"  # a schedule keeps its form
-        for key in reversed(parameter.name.split(".")):
-            value = {key: value}
-        sampled = merge(sampled, value)
+        sampled = merge(sampled, _nested(parameter, parameter.suggest(trial), experiment))
     return sampled
+
+
+def _nested(parameter: Parameter, value: Any, experiment: ExperimentConfig) -> dict[str, Any]:
+    """Return the hyperparameters that give a parameter a value."""
+    before = look_up(experiment.hyperparams, parameter.name)
+    if isinstance(before, str) and (schedule := SCHEDULE.fullmatch(before)) and not parameter.choices:
+        value = f"{schedule[1]}{value}"  # a schedule keeps its form
+    root, *keys = parameter.name.split(".")
+    for key in reversed(keys):
+        value = {key: value}
+    return {root: value}
 
 
 def _equal(left: Any, right: Any) -> bool:
@@ -184,4 +205,4 @@ def _equal(left: Any, right: Any) -> bool:
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

@@ -169,17 +169,21 @@ def _next_trial(search: Search, study: optuna.Study) -> tuple[optuna.Trial, IO[s
 
 def _retry_stale(search: Search, study: optuna.Study) -> None:
     """Queue running trials again whose process has died, which leaves their file unlocked."""
+    known = {trial.number for trial in counted(study)}
     for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
-        if not is_locked(_claim_file(search, trial)):
-            study.tell(trial.number, state=TrialState.FAIL)
+        if is_locked(_claim_file(search, trial)):
+            continue
+        if trial.number in known:  # else a process was killed between the two operations
             repeats = [*trial.user_attrs.get(REPEATS, ()), trial.number]
             again = optuna.trial.create_trial(
                 state=TrialState.WAITING,
                 params=trial.params,
                 distributions=trial.distributions,
                 user_attrs={**trial.user_attrs, REPEATS: repeats},
+                system_attrs=trial.system_attrs,  # values of the baseline that were not yet suggested
             )
             study.add_trial(again)
+        study.tell(trial.number, state=TrialState.FAIL)
 
 
 def _claim_file(search: Search, trial: optuna.Trial | FrozenTrial) -> Path:
