@@ -220,14 +220,16 @@ def test_an_upload_has_the_folder_and_a_video(run_folder, hub, capsys):
 
 def test_only_the_folder_of_an_agent_is_replaced(pushed, run_folder, tmp_path, refuse):
     shutil.copytree(pushed, folder := tmp_path / "toy")
-    (folder / "old.txt").touch()
+    (folder / ".git").mkdir()
+    assert ".git" in refuse("push", str(run_folder), "--folder", str(folder))
+    (folder / ".git").rename(folder / "old.zip")
     assert main(["push", str(run_folder), "--folder", str(folder), "-n", "1", "--device", "cpu"]) == 0
     assert {path.name for path in folder.iterdir()} == FILES and read_card(folder).episodes == 1
     (link := tmp_path / "link").symlink_to(folder)
     assert main(["push", str(run_folder), "--folder", str(link), "-n", "2", "--device", "cpu"]) == 0
     assert link.is_symlink() and read_card(folder).episodes == 2
     assert "working directory" in refuse("push", str(run_folder), "--folder", ".")
-    assert "card.json" in refuse("push", str(run_folder), "--folder", str(run_folder))
+    assert "an agent" in refuse("push", str(run_folder), "--folder", str(run_folder))
     shutil.copytree(run_folder, copy := tmp_path / "run")
     file = copy / "hyperparams.yml"
     file.write_text(file.read_text().replace("policy:", "frame_stack: 2\n  policy:", 1))

@@ -16,7 +16,7 @@ from zoo_configs.errors import CommandError, refused
 from zoo_configs.evaluating import EvalOptions
 from zoo_configs.files import check_writable, print_written
 from zoo_configs.publishing.packing import check_publishable, pack
-from zoo_configs.publishing.published import CARD_FILE
+from zoo_configs.publishing.published import CARD_FILE, PAGE_FILE
 from zoo_configs.recording import agent_actor, record
 from zoo_configs.training.runs import env_folder_name
 
@@ -71,12 +71,14 @@ def _pack(agent: Agent, folder: Path, args: argparse.Namespace, repo_id: str | N
 
 
 def _check_replaceable(folder: Path) -> None:
-    """Check that a folder can be written: only an empty folder or that of an agent is replaced."""
+    """Check that a folder can be written: only an empty folder or one with an agent alone is replaced."""
     if folder in (Path.cwd(), *Path.cwd().parents):
         raise CommandError(f"--folder must not contain the working directory, got {folder}")
-    is_empty = folder.is_dir() and not any(folder.iterdir())
-    if folder.exists() and not is_empty and not (folder / CARD_FILE).is_file():
-        raise CommandError(f"--folder must be new, empty or an agent's ({CARD_FILE}), got {folder}")
+    names = [path.name for path in folder.iterdir()] if folder.is_dir() else []
+    others = [name for name in names if name not in (CARD_FILE, PAGE_FILE) and not name.endswith(".zip")]
+    if folder.is_file() or others or (names and CARD_FILE not in names):
+        found = f"{folder} with {', '.join(sorted(others or names)[:3])}" if names else folder
+        raise CommandError(f"--folder must be new, empty or have an agent and nothing else, got {found}")
     check_writable(folder / CARD_FILE, "--folder")
 
 

@@ -19,7 +19,7 @@ from zoo_configs.evaluating import EvalOptions, Outcome, check_unwrapped, evalua
 from zoo_configs.files import whole_file
 from zoo_configs.provenance import arithmetic, commit
 from zoo_configs.publishing.compact import save_compact
-from zoo_configs.publishing.published import FAILED, SUCCEEDED, Card
+from zoo_configs.publishing.published import FAILED, PAGE_FILE, SUCCEEDED, Card
 from zoo_configs.training.certificate import certificate_of
 from zoo_configs.training.runs import Run, day, env_folder_name, origin_of
 
@@ -112,7 +112,7 @@ def pack(agent: Agent, folder: Path, options: EvalOptions, device: str, repo_id:
         weights, outcome = store(half=False)
     card = _card(agent, run, options, outcome, folder / name, weights)
     card.write()
-    with whole_file(folder / "README.md") as partial:
+    with whole_file(folder / PAGE_FILE) as partial:
         partial.write_text(render_readme(card, repo_id), encoding="utf-8")
     return card
 

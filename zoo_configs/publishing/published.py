@@ -13,7 +13,7 @@ from zoo_configs.files import whole_file
 from zoo_configs.training.runs import Origin
 
 PUBLISHED_FOLDER = Path(__file__).resolve().parents[1] / "published"
-CARD_FILE = "card.json"
+CARD_FILE, PAGE_FILE = "card.json", "README.md"
 SUCCEEDED, FAILED = "1", "0"
 
 
