@@ -66,7 +66,7 @@ def test_a_resumed_run_has_the_tables_and_the_tensorboard_folder_of_its_options(
     resume = ["train", "--resume", str(run), "-tb", str(tmp_path / "tb"), "--verbose", "1", "--no-progress"]
     assert main([*resume, "-n", "18"]) == 0
     assert "eval/" in capsys.readouterr().out
-    assert len(folders) == 1 and str(folders[0]).startswith(f"sacfd_{RUN_NAME}_")
+    assert len(folders) == 1 and str(folders[0]).startswith("sacfd_1_")
 
 
 def test_a_model_of_a_run_has_its_algorithm(run_folder, refuse):

@@ -79,8 +79,7 @@ class Trainer:
         steps = self.run.n_timesteps - (self.model.num_timesteps if self.checkpoint else 0)
         # By default our algorithms show bars for demonstrations and pretraining on a terminal.
         options: dict[str, Any] = {} if self.progress else {"progress_bar": False}
-        # A resumed run continues the latest log of its name, so that this must not be another run's.
-        options["tb_log_name"] = "_".join(self.run.folder.absolute().parts[-2:])
+        options["tb_log_name"] = self._tensorboard_name
         try:
             self.model.learn(
                 steps, callback=self.callbacks, reset_num_timesteps=self.checkpoint is None, **options
@@ -171,6 +170,12 @@ class Trainer:
     def _tensorboard_folder(self) -> str | None:
         folder = self.options.tensorboard_log
         return str(Path(folder) / env_folder_name(self.run.experiment.env_id)) if folder else None
+
+    @property
+    def _tensorboard_name(self) -> str:
+        """Name of the run's log. A resumed run continues the latest one of its name, not another run's."""
+        folder, env_name = self.run.folder.absolute(), env_folder_name(self.run.experiment.env_id)
+        return f"{folder.parent.name}_{folder.name.removeprefix(f'{env_name}_')}"
 
     def _check_policy(self, policy: str | type[Any]) -> None:
         """Check that the model file has the policy of the hyperparameters."""
