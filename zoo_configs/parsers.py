@@ -140,12 +140,10 @@ def parse_record(argv: Sequence[str]) -> argparse.Namespace:
         parser.error(f"--output must end in .gif or .mp4, got {args.output}")
     if args.expert and (args.env is None or args.path is not None or args.published is not None):
         parser.error("--expert records the expert of --env: pass --env, and neither a path nor --published")
-    of_agents = ("baseline", "algo", "preset", "log_folder", "device", "load_best")
-    if args.expert and (
-        unused := [name for name in of_agents if getattr(args, name) != parser.get_default(name)]
-    ):
-        names = [f"--{name.replace('_', '-')}" for name in unused]
-        parser.error(f"{', '.join(names)} cannot be combined with --expert".replace("load-best", "load-last"))
+    of_agents = {"--baseline": args.baseline, "--algo": args.algo, "--preset": args.preset}
+    unused = [flag for flag, value in (of_agents | {"--load-last": not args.load_best}).items() if value]
+    if args.expert and unused:
+        parser.error(f"{', '.join(unused)} cannot be combined with --expert")
     return args
 
 

@@ -100,6 +100,7 @@ record --expert --env Pendulum-v1                                 => expert
 RECORD -o /dev/null/a.gif                                         => /dev/null
 RECORD -o a.avi                                                   => a.avi
 RECORD --baseline sac --load-last                                 => --baseline, --load-last
+RECORD --device gpu0                                              => 'gpu0'
 list --published --baselines                                      => --published
 list --published --env TOY                                        => --env
 verify --published ""                                             => published agent

@@ -4,6 +4,7 @@ import argparse
 from contextlib import closing
 
 from zoo_configs.agents import find_agent, query_of
+from zoo_configs.arguments import check_device
 from zoo_configs.drawing.video import Frame, write_video
 from zoo_configs.environments import register_environments
 from zoo_configs.files import check_writable, print_written
@@ -28,6 +29,7 @@ def main(args: argparse.Namespace) -> None:
 def _actor(args: argparse.Namespace) -> Actor:
     register_environments(args.gym_packages)
     if args.expert:
+        check_device(args.device)
         return expert_actor(args.env, args.env_kwargs)
     agent = find_agent(query_of(args))
     actor = agent_actor(agent, args.env_kwargs)
