@@ -139,6 +139,10 @@ def number(low: float, high: float, must: str) -> Check:
     return rule(must, lambda value: low <= value <= high and math.isfinite(value), _float)
 
 
+fraction = number(0.0, 1.0, "a number from 0 to 1")
+"""Accept numbers from 0 to 1."""
+
+
 def numbers(sign: str = "finite", count: int | None = None) -> Check:
     """Accept a finite number, or some numbers and return a tuple.
 

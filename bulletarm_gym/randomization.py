@@ -135,7 +135,7 @@ NAMES = tuple(entry.name for entry in fields(Randomization))
 
 
 def _preset(share: float) -> Randomization:
-    """Return ranges between the defaults (0) and those of the preset ``"real"`` (1)."""
+    """Return ranges between the defaults (0) and the preset ``"real"`` (1)."""
     ranges: dict[str, Any] = {}
     for name, (neutral, _) in vars(Randomization()).items():
         real = Randomization.__dataclass_fields__[name].metadata["real"]

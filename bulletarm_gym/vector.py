@@ -80,7 +80,7 @@ class CommonSpaces(gymnasium.ObservationWrapper[Observation, Any, Observation], 
     :param observation_space: observations of all tasks, with a number for each task as ``task_id``
     :param action_sequence: meaning of each number of an action, one character each, for all tasks
     :param task: number of the environment's task, from 0 on
-    :raises ValueError: ``action_sequence`` lacks a character of the environment's, or there is no such task
+    :raises ValueError: ``action_sequence`` lacks a character of the environment's, or ``task`` is too large
     """
 
     def __init__(

@@ -192,7 +192,7 @@ class GoalObservation(gymnasium.ObservationWrapper[Any, Any, Any], RecordConstru
         return (self._core.task.goal_error(achieved_goal, desired_goal) < 1.0).astype(np.float64)[()]
 
     def compute_terminated(self, achieved_goal: Any, desired_goal: Any, info: dict[str, Any]) -> bool:
-        """Return True if the scene is invalid, whatever the goals."""
+        """Return True if the scene is invalid. This does not depend on the goals."""
         return not info["is_valid"]
 
     def compute_truncated(self, achieved_goal: Any, desired_goal: Any, info: dict[str, Any]) -> bool:

@@ -15,7 +15,7 @@ STEPS = 2  # of the expert, so that the gripper hides something
 
 
 def main(path: Path) -> None:
-    """Write the picture: both views, and where they differ by more than 2 mm."""
+    """Write an image with both views and the pixels that differ by more than 2 mm."""
     images = [look(view) for view in ("orthographic", "point_cloud")]
     titles = ("orthographic", "point cloud of two side cameras", "differing by more than 2 mm")
     panels = [*images, np.abs(images[0] - images[1]) > 0.002]
@@ -27,7 +27,7 @@ def main(path: Path) -> None:
 
 
 def look(view: str) -> np.ndarray:
-    """What is seen after some steps of the expert."""
+    """Return the heightmap after some steps of the expert."""
     env = gymnasium.make(ENV_ID, view=view)
     observation, _ = env.reset(seed=SEED)
     for _ in range(STEPS):

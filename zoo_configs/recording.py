@@ -53,7 +53,7 @@ def _make(env_id: str, env_kwargs: Mapping[str, Any], is_expert: bool = False) -
         if is_expert and not hasattr(env.unwrapped, "expert_action"):
             raise CommandError(f"{env_id} has no expert")
         env.render()
-        slow = {"fast_mode": False} if _is_open_loop(env) else {}  # simulates motions, which can be filmed
+        slow = {"fast_mode": False} if _is_open_loop(env) else {}  # simulates motions, which can be recorded
     return make_env(env_id, {**slow, **kwargs})
 
 

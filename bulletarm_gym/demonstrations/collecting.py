@@ -14,7 +14,7 @@ from gymnasium.utils import RecordConstructorArgs
 from tqdm import tqdm
 
 from bulletarm_gym.config import OPEN_LOOP, ParameterError, with_effect
-from bulletarm_gym.config_checks import check_argument, choice, integer, mapping, number, optional
+from bulletarm_gym.config_checks import check_argument, choice, fraction, integer, mapping, optional
 from bulletarm_gym.demonstrations import json_state
 from bulletarm_gym.demonstrations.episodes import Demonstrations, Episode, Recorder, Step, load
 from bulletarm_gym.env import Action, ManipulationEnv, Observation
@@ -61,7 +61,7 @@ def collect(
     check_argument("seed", seed, optional(integer(0)))
     check_argument("max_attempts", max_attempts, optional(integer(1)))
     check_argument("env_kwargs", env_kwargs, optional(mapping))
-    noise = check_argument("noise", noise, number(0.0, 1.0, "a number from 0 to 1"))
+    noise = check_argument("noise", noise, fraction)
     target = None if path is None else writable_path(Path(path))
     seed = int(np.random.SeedSequence().generate_state(1)[0] if seed is None else seed)
     most = max_attempts or 4 * episodes

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from bulletarm_gym.config_checks import check_argument, number
+from bulletarm_gym.config_checks import check_argument, fraction
 from bulletarm_gym.demonstrations.episodes import PACKED, Demonstrations, Episode, atomic_path
 from bulletarm_gym.demonstrations.exports import CAMERAS, exported_env, observations, short_name
 from bulletarm_gym.env import ManipulationEnv
@@ -46,7 +46,7 @@ def export_robomimic(
     :raises ReplayError: a replayed episode differs from the recorded one
     :raises ValueError: a parameter is invalid, or two observations have the same name
     """
-    check_argument("valid_ratio", valid_ratio, number(0.0, 1.0, "a number from 0 to 1"))
+    check_argument("valid_ratio", valid_ratio, fraction)
     path = Path(path)
     if path.exists():
         raise FileExistsError(f"path must be a new file, got {path}, which exists")

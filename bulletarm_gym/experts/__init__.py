@@ -2,15 +2,14 @@
 
 from dataclasses import dataclass
 
-from bulletarm_gym.config_checks import check_fields, optional
+from bulletarm_gym.config_checks import check_fields, fraction, optional
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.geometry.poses import pose_check
-from bulletarm_gym.robots.robot import RATIO
 
 OPEN = 1.0
 HALF_OPEN = 0.5
 CLOSED = 0.0
-FIELDS = {"pose": pose_check, "gripper": RATIO, "finish": optional(RATIO)}
+FIELDS = {"pose": pose_check, "gripper": fraction, "finish": optional(fraction)}
 """Checks of the fields of a waypoint."""
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bulletarm_gym.config import MAX_TRANSLATION
-from bulletarm_gym.config_checks import check_argument, number, numbers, rule
+from bulletarm_gym.config_checks import check_argument, fraction, numbers, rule
 from bulletarm_gym.geometry import Pose, Vector, interpolate
 from bulletarm_gym.robots.arm import CLEAR_ABOVE, FREE_CLEARANCE, MAX_SHIFTS, CollidingArm, path_length
 from bulletarm_gym.robots.kinematics import POSITION_TOLERANCE
@@ -42,9 +42,6 @@ SLIDE_GAP = 1e-3
 """Distance (m) by which a sliding arm moves away from what blocked it, so that it presses less."""
 MAX_PUSHED_RATIO = 0.2
 """Fraction of the stroke by which fingers pushed closed by a contact stay closed until the next command."""
-
-RATIO = number(0.0, 1.0, "a number from 0 to 1")
-"""Check of opening ratios."""
 
 
 def transfer_stops(start: Pose, end: Pose) -> Iterator[Pose]:
@@ -134,9 +131,9 @@ class Robot(CollidingArm):
     def _beside(self, pose: Pose, normal: Vector) -> Pose | None:
         """Return the pose in reach to which a blocked arm slides, as a real one does, or None if too near."""
         position = np.array(self.pose.position)
-        left = np.array(pose.position) - position
-        along = left - (left @ normal) * np.array(normal)
-        along = along.clip(np.minimum(left, 0.0), np.maximum(left, 0.0))  # not where no motion was commanded
+        rest = np.array(pose.position) - position
+        along = rest - (rest @ normal) * np.array(normal)
+        along = along.clip(np.minimum(rest, 0.0), np.maximum(rest, 0.0))  # not where no motion was commanded
         if np.linalg.norm(along) < MIN_SLIDE:
             return None
         x, y, z = (position + along + SLIDE_GAP * np.array(normal)).tolist()
@@ -208,7 +205,7 @@ class Robot(CollidingArm):
 
         :raises ValueError: ``ratio`` is not a number from 0 to 1
         """
-        ratio = check_argument("ratio", ratio, RATIO)
+        ratio = check_argument("ratio", ratio, fraction)
         command = ratio * self.model.gripper.stroke
         pushed = ratio - self.opening_ratio > MAX_PUSHED_RATIO
         if abs(command - self._command) < OPENING_TOLERANCE and not pushed:

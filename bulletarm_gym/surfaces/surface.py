@@ -31,8 +31,8 @@ ATTEMPTS = 200
 class Surface(ABC):
     """Surface of a workspace.
 
-    Its bodies are loaded once and posed at every reset. All that is sampled is read back from their poses in
-    the world, so that the state of the world includes the state of the surface.
+    Its bodies are loaded once and posed at every reset. Sampled values are read back from their poses in the
+    world, so that the state of the world includes the state of the surface.
 
     :param workspace: [[x low, x high], [y low, y high], [z low, z high]] (m)
     :param site: width and length (m) of the base of the task's structure

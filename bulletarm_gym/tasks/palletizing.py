@@ -84,9 +84,9 @@ class BoxPalletizing(Task):
         return GraspParams(pick_offset=PICK_OFFSET * max(self.config.scales))
 
     def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
-        names = [f"box {number}" for number in range(config.num_objects)]
-        boxes = [scaled(config, name, palletizing_box, like=names[0] * (name != names[0])) for name in names]
-        return [ObjectSlot("pallet", (pallet("pallet"),)), *boxes]
+        first, *others = (f"box {number}" for number in range(config.num_objects))
+        boxes = [scaled(config, name, palletizing_box, like=first) for name in others]
+        return [ObjectSlot("pallet", (pallet("pallet"),)), scaled(config, first, palletizing_box), *boxes]
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         site = goal_site(scene, rng, self.site)
