@@ -27,27 +27,27 @@ SETS: dict[str, tuple[Callable[[], Sequence[BodySpec]], int]] = {
     "storage": (lambda: [create(k, k, 0.8 if k == "palletizing_box" else 1.0) for k in STORAGE], 4),
     "covid": (lambda: [create(k, k, 1.0 if k.endswith(("box", "area")) else 0.6) for k in COVID], 6),
 }
-"""Objects and how many are in a row."""
+"""Function that creates the objects of a set, and the number of objects in a row."""
 WIDTH = 1500
 
 
 def main() -> None:
-    """Lay the objects out in rows and take a picture from above."""
+    """Place the objects in rows and render an image from above."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("set", choices=SETS, help="the objects")
-    parser.add_argument("output", type=Path, help="the picture to write")
+    parser.add_argument("set", choices=SETS, help="set of objects")
+    parser.add_argument("output", type=Path, help="image file to write")
     arguments = parser.parse_args()
     make, columns = SETS[arguments.set]
     world = World(PHYSICS_MODES["fast"])
     world.add_plane(FLOOR)
     extent = lay_out(world, make(), columns)
-    imageio.imwrite(arguments.output, picture(world, *extent))
+    imageio.imwrite(arguments.output, render(world, *extent))
     world.close()
     print(f"wrote {arguments.output}")
 
 
 def lay_out(world: World, specs: Sequence[BodySpec], columns: int) -> tuple[float, float]:
-    """Stand objects in rows; return the length (m) of the columns and of the rows."""
+    """Place objects in rows. Return the lengths (m) of the columns and of the rows."""
     pitch = 0.03 + max(max(spec.extents[:2]) for spec in specs)
     rows = -(-len(specs) // columns)
     for index, spec in enumerate(specs):
@@ -59,8 +59,8 @@ def lay_out(world: World, specs: Sequence[BodySpec], columns: int) -> tuple[floa
     return pitch * rows, pitch * columns
 
 
-def picture(world: World, length: float, width: float) -> object:
-    """Return a picture of what stands about the origin, seen from the front and above."""
+def render(world: World, length: float, width: float) -> object:
+    """Return an image (height, width, 3) of the objects around the origin, from the front and above."""
     distance = 2.2 * width
     height = int(WIDTH * min(1.0, (0.95 * length + 0.08) / width))
     eye = (0.3 * distance, 0.0, 0.95 * distance)

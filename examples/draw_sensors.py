@@ -25,32 +25,32 @@ SENSORS: list[Any] = [
 
 
 def main(path: Path) -> None:
-    """Write the picture, a panel a sensor."""
-    observation = look()
+    """Write an image with a panel for each sensor."""
+    observation = observe()
     figure, axes = plt.subplots(2, 3, figsize=(10.5, 7.2), constrained_layout=True)
-    for axis, (name, seen) in zip(axes.flat, observation.items(), strict=True):
+    for axis, (name, values) in zip(axes.flat, observation.items(), strict=True):
         if name == "point_cloud":
-            x, y, z = seen.T
+            x, y, z = values.T
             axis.scatter(y, x, c=z, s=2)
             axis.set(xlim=(-0.225, 0.225), ylim=(0.225, -0.225), aspect="equal")
-        elif len(seen) == 3:
-            axis.imshow(seen.transpose(1, 2, 0))
+        elif len(values) == 3:
+            axis.imshow(values.transpose(1, 2, 0))
         else:
             axis.imshow(
-                numbered(seen[0]) if seen.dtype == np.uint8 else seen[0],
-                cmap="tab10" if seen.dtype == np.uint8 else "viridis_r",
+                numbered(values[0]) if values.dtype == np.uint8 else values[0],
+                cmap="tab10" if values.dtype == np.uint8 else "viridis_r",
             )
         axis.set(title=name, xticks=[], yticks=[])
     figure.savefig(path, dpi=100)
 
 
 def numbered(image: np.ndarray) -> np.ndarray:
-    """Number what is in an image without gaps, for a colour each."""
+    """Replace the values of an image by consecutive numbers, so that each has its own colour."""
     return np.unique(image, return_inverse=True)[1].reshape(image.shape)
 
 
-def look() -> dict[str, np.ndarray]:
-    """What is seen after some steps of the expert."""
+def observe() -> dict[str, np.ndarray]:
+    """Return the observation after some steps of the expert."""
     env = gymnasium.make(ENV_ID, observation=SENSORS)
     observation, _ = env.reset(seed=SEED)
     for _ in range(STEPS):

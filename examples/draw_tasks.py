@@ -25,18 +25,18 @@ SOME = [
 ]
 TASKS_A_ROW = 4
 PIXELS = 240
-"""Of a picture's side."""
+"""Side length of an image."""
 SEEDS = range(4, 14)
 """Tried in this order: with the first of them the drawer faces the camera."""
 
-Picture = np.ndarray
-Draw = Callable[[ManipulationEnv, dict[str, Picture]], Picture]
+Image = np.ndarray
+Draw = Callable[[ManipulationEnv, dict[str, Image]], Image]
 
 
 def main() -> None:
     """Solve every task with its expert and write the sheet."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--heightmap", action="store_true", help="what the agent sees, instead of the scene")
+    parser.add_argument("--heightmap", action="store_true", help="draw the heightmap instead of the scene")
     parser.add_argument("--env", nargs="+", default=SOME, help="the tasks, by id (default: eight of them)")
     parser.add_argument("--output", type=Path, default=Path("docs/images/some_tasks.png"))
     arguments = parser.parse_args()
@@ -45,7 +45,7 @@ def main() -> None:
 
 
 def sheet(env_ids: Sequence[str], draw: Draw, output: Path) -> None:
-    """Write the pictures of tasks, two a task."""
+    """Write two images of each task: at reset and at success."""
     rows = -(-len(env_ids) // TASKS_A_ROW)
     size = (TASKS_A_ROW * 2 * PIXELS / 100.0, rows * (PIXELS + 24) / 100.0)
     figure = plt.figure(figsize=size, layout="constrained")
@@ -53,14 +53,14 @@ def sheet(env_ids: Sequence[str], draw: Draw, output: Path) -> None:
     panels = figure.subfigures(rows, TASKS_A_ROW, squeeze=False)
     for panel, env_id in zip(panels.flat, env_ids, strict=False):
         panel.suptitle(env_id.removeprefix("BulletArm/").removesuffix("-v0"), y=0.0, va="bottom", fontsize=11)
-        for axis, picture in zip(panel.subplots(1, 2), solve(env_id, draw), strict=True):
-            axis.imshow(picture, interpolation="nearest")
+        for axis, image in zip(panel.subplots(1, 2), solve(env_id, draw), strict=True):
+            axis.imshow(image, interpolation="nearest")
             axis.axis("off")
     figure.savefig(output, dpi=100)
 
 
-def solve(env_id: str, draw: Draw) -> tuple[Picture, Picture]:
-    """Return pictures of a task at reset and at success, of the first seed that its expert solves."""
+def solve(env_id: str, draw: Draw) -> tuple[Image, Image]:
+    """Return images of a task at reset and at success, with the first seed that its expert solves."""
     env = gymnasium.make(env_id)
     for seed in SEEDS:
         observation, info = env.reset(seed=seed)
@@ -75,13 +75,13 @@ def solve(env_id: str, draw: Draw) -> tuple[Picture, Picture]:
     return before, after
 
 
-def scene(env: ManipulationEnv, _: dict[str, Picture]) -> Picture:
-    """Return a picture of the workspace from the front and above."""
+def scene(env: ManipulationEnv, _: dict[str, Image]) -> Image:
+    """Return an image of the workspace from the front and above."""
     return env.viewer.close_up(PIXELS)
 
 
-def heightmap(_: ManipulationEnv, observation: dict[str, Picture]) -> Picture:
-    """Return the heightmap that the agent sees."""
+def heightmap(_: ManipulationEnv, observation: dict[str, Image]) -> Image:
+    """Return the heightmap of an observation, (rows, columns) in m."""
     return observation["heightmap"][0]
 
 

@@ -19,7 +19,7 @@ CNN: dict[str, Any] = {
     "features_extractor_class": CnnExtractor,
     "features_extractor_kwargs": {"channels": [8, 16, 32, 64, 64]},
 }
-# The features turn with the scene; PPO's own head behind them is not equivariant.
+# The features rotate with the scene; PPO's own head behind them is not equivariant.
 EQUIVARIANT: dict[str, Any] = {
     "features_extractor_class": EquivariantExtractor,
     "features_extractor_kwargs": {"n": 4, "channels": [4, 8, 16, 32, 32], "output": "regular"},
@@ -31,7 +31,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--steps", type=int, default=50_000, help="time steps over all environments")
     parser.add_argument("--rollout", type=int, default=128, help="steps of an environment between updates")
-    parser.add_argument("--equivariant", action="store_true", help="features that turn with the scene")
+    parser.add_argument("--equivariant", action="store_true", help="use features that rotate with the scene")
     parser.add_argument("--episodes", type=int, default=50, help="episodes of the evaluation")
     args = parser.parse_args()
     env = make_vec_env(ENV_ID, n_envs=4, seed=0, env_kwargs={"obs_size": 64})
