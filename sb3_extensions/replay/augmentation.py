@@ -55,7 +55,7 @@ class Augmentation(ABC):
 
 
 @dataclass(frozen=True)
-class Sequence(Augmentation):
+class Compose(Augmentation):
     """
     Apply several augmentations in order.
 

@@ -13,7 +13,7 @@ from torch.nn import functional as F
 from sb3_extensions.common.action_sequence import ActionSequence
 from sb3_extensions.common.components import check_fraction, make_components
 from sb3_extensions.common.observations import KEY, as_parts
-from sb3_extensions.replay.augmentation import RAD, Augmentation, DrQ, Sequence, scene_keys, scene_shapes
+from sb3_extensions.replay.augmentation import RAD, Augmentation, Compose, DrQ, scene_keys, scene_shapes
 from sb3_extensions.replay.samples import ExpertReplayBufferSamples
 
 N_CANDIDATES = 8
@@ -143,4 +143,4 @@ def make_augmentation(spec: AugmentationSpec, action_sequence: str | None = None
         return spec
     rotation = partial(Rotation, action_sequence=action_sequence) if action_sequence else Rotation
     steps = make_components("augmentation", spec, {"rotation": rotation, "rad": RAD, "drq": DrQ})
-    return Sequence(tuple(steps)) if len(steps) > 1 else next(iter(steps), None)
+    return Compose(tuple(steps)) if len(steps) > 1 else next(iter(steps), None)

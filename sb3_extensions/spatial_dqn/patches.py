@@ -27,10 +27,10 @@ def crop_patches(
     # Windows of half the diagonal contain the rotated patch. In single precision cells would be some 1e-6
     # pixels off.
     windows = gather_windows(images, rows, columns, math.ceil(math.sqrt(2.0) * (size - 1) / 2.0))
-    return rotate_images(windows.double(), -angles, size).to(images.dtype)
+    return rotate_zero_padded(windows.double(), -angles, size).to(images.dtype)
 
 
-def rotate_images(images: th.Tensor, angles: th.Tensor, size: int | None = None) -> th.Tensor:
+def rotate_zero_padded(images: th.Tensor, angles: th.Tensor, size: int | None = None) -> th.Tensor:
     """
     Rotate images about their centres by bilinear interpolation, with zeros outside the image.
 

@@ -15,7 +15,7 @@ from sb3_extensions.encoders.unet import equivariant_unet, lowest_shape, plain_u
 from sb3_extensions.equivariant.convolution import apply_in_float32
 from sb3_extensions.equivariant.groups import FieldType, Group
 from sb3_extensions.equivariant.layers import DynamicEquivariantConv2d, EquivariantConv2d, GroupMaxPool
-from sb3_extensions.spatial_dqn.patches import rotate_images
+from sb3_extensions.spatial_dqn.patches import rotate_zero_padded
 
 PRIMITIVES = 2
 """Number of primitives: pick and place."""
@@ -118,9 +118,11 @@ class RotatedPixelMaps(PixelMaps):
         batch, size = len(view.image), view.image.shape[-1]
         samples = th.arange(batch, device=view.image.device).repeat_interleave(self.rotations)
         angles = self.angles.repeat(batch)
-        rotated = view.of(samples)._replace(image=rotate_images(view.image[samples], -angles, self.canvas))
+        rotated = view.of(samples)._replace(
+            image=rotate_zero_padded(view.image[samples], -angles, self.canvas)
+        )
         maps, encoding = self.network(rotated)
-        values = rotate_images(maps.float(), angles, size)
+        values = rotate_zero_padded(maps.float(), angles, size)
         return values.view(batch, self.rotations, size, size), encoding[:: self.rotations]
 
 

@@ -8,7 +8,7 @@ import torch as th
 from gymnasium import spaces
 
 from sb3_extensions.common.action_sequence import ActionSequence
-from sb3_extensions.replay.augmentation import RAD, DrQ, Sequence
+from sb3_extensions.replay.augmentation import RAD, Compose, DrQ
 from sb3_extensions.replay.buffer import ExpertReplayBuffer
 from sb3_extensions.replay.rotation import Rotation, make_augmentation, rotate_actions
 from sb3_extensions.replay.samples import ExpertReplayBufferSamples
@@ -81,7 +81,7 @@ def test_drq_shifts_each_view_independently(k, m):
         ("rad", RAD(128)),
         ({"drq": {"K": 1, "M": 3}}, DrQ(1, 3)),
         (RAD(32), RAD(32)),
-        ({"rotation": {}, "rad": {"size": 12}}, Sequence((Rotation(action_sequence="xyzrp"), RAD(12)))),
+        ({"rotation": {}, "rad": {"size": 12}}, Compose((Rotation(action_sequence="xyzrp"), RAD(12)))),
     ],
 )
 def test_make_augmentation_from_names_and_arguments(spec, expected):

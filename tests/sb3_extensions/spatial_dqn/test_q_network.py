@@ -16,7 +16,7 @@ from sb3_extensions.encoders.patch_encoders import LAST_SIDE, LAST_SIDE_OF_PIXEL
 from sb3_extensions.encoders.unet import equivariant_unet, plain_unet
 from sb3_extensions.equivariant.groups import Group
 from sb3_extensions.spatial_dqn.asr_heads import PATCH_STAGES, DeicticLevel
-from sb3_extensions.spatial_dqn.patches import crop_patches, rotate_images
+from sb3_extensions.spatial_dqn.patches import crop_patches, rotate_zero_padded
 from sb3_extensions.spatial_dqn.pixel_maps import EquivariantPixelMaps, RotatedPixelMaps
 
 IMAGE_SIDE, RESOLUTION = 20, 0.02  # pixels, m
@@ -104,9 +104,9 @@ def test_rotated_maps_equal_the_network_on_rotated_images():
         for sample, yaw in np.ndindex(4, rotations):
             angle = th.tensor([yaw * np.pi / rotations])
             one = view.of(th.tensor([sample]))
-            alone = one._replace(image=rotate_images(one.image, -angle, network.canvas))
+            alone = one._replace(image=rotate_zero_padded(one.image, -angle, network.canvas))
             values, seen = network.network(alone)
-            expected = rotate_images(values, angle, size)[0, 0]
+            expected = rotate_zero_padded(values, angle, size)[0, 0]
             th.testing.assert_close(maps[sample, yaw], expected, atol=1e-6, rtol=1e-4)
             if yaw == 0:
                 th.testing.assert_close(encoding[sample], seen[0], atol=1e-6, rtol=1e-4)
