@@ -4,6 +4,7 @@ import inspect
 import math
 
 import gymnasium
+import numpy as np
 import pytest
 from stable_baselines3 import SAC
 from stable_baselines3.common.buffers import ReplayBuffer
@@ -21,6 +22,7 @@ from sb3_extensions.spatial_dqn import SDQfD, SpatialDQN
 from sb3_extensions.tqcfd import TQCfD
 
 PARAMETERS = inspect.signature(SACfD).parameters
+PICKING = "BulletArm/CloseLoopBlockPicking-v0"
 
 
 def test_environments_by_id_and_normalised_environments(make_toy, make_learner):
@@ -162,7 +164,7 @@ def make_codec(codec_kwargs=None, **env_kwargs):
 
 
 def test_policy_and_rotation_adopt_the_action_sequence_of_the_environment():
-    env = gymnasium.make("BulletArm/CloseLoopBlockPicking-v0", obs_size=64, action_sequence="xyzpr")
+    env = gymnasium.make(PICKING, obs_size=64, action_sequence="xyzpr")
     model = make_sacfd(env, {"rotation": {}, "rad": {"size": 60}})
     assert model.policy.action_sequence == "xyzpr"
     assert model.augmentation.steps[0] == Rotation(action_sequence="xyzpr")
@@ -181,3 +183,31 @@ def test_grid_adopts_the_action_ranges():
     assert codec.theta_bounds == (-math.pi, math.pi) and codec.workspace_size == pytest.approx(0.3)
     assert make_codec().theta_bounds == (0.0, math.pi)
     assert make_codec({"workspace_size": 0.5}, workspace=WIDE).workspace_size == 0.5
+
+
+COLOURS = ["heightmap", "color", "holding"]
+SENSORS = [*COLOURS, "segmentation", {"name": "rgb", "size": 24}, "state"]
+CNN = {"features_extractor_kwargs": {"channels": (4, 4, 4, 4, 8)}}
+
+
+@pytest.mark.parametrize(
+    ("policy", "observation", "policy_kwargs", "augmentation"),
+    [
+        ("MultiInputPolicy", SENSORS, CNN, "drq"),
+        ("EquivariantPolicy", COLOURS, SMALL_EQUIVARIANT, {"rad": {"size": 32}}),
+    ],
+)
+def test_sacfd_learns_from_colours_and_keeps_them_exactly(policy, observation, policy_kwargs, augmentation):
+    env = gymnasium.make(PICKING, observation=observation, obs_size=48)
+    kwargs = {"expert_episodes": 2, "batch_size": 8, "buffer_size": 100, "seed": 0}
+    model = SACfD(policy, env, policy_kwargs=policy_kwargs, augmentation=augmentation, **kwargs)
+    assert model.learn(4)._n_updates == 4
+    table, (seen, _) = model.replay_buffer.table, env.reset(seed=5)
+    row = table.heads[:1]
+    table.write_observations(row, {name: values[None] for name, values in seen.items()})
+    for name, values in table.read_observations(row).items():
+        error = 0.2 / 255 if name == "heightmap" else 0
+        np.testing.assert_allclose(values[0], seen[name], atol=error)
+        assert values.dtype == seen[name].dtype
+    assert model.predict(seen)[0].shape == env.action_space.shape
+    env.close()

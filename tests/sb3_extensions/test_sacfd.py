@@ -154,14 +154,6 @@ def test_imitation_equals_a_slow_reference(make_learner):
     assert not self_imitation_weights(advantages, sample.succeeded, None).any()
 
 
-def test_self_imitation_learns_from_successful_steps(make_learner):
-    losses = []
-    for temperature in (None, 0.1):
-        kwargs = {"expert_episodes": 0, "learning_starts": 400, "self_imitation_temperature": temperature}
-        losses.append(make_learner(**kwargs).learn(410).logger.name_to_value["train/bc_loss"])
-    assert losses[0] == 0.0 < losses[1]
-
-
 @pytest.mark.parametrize(("warmup", "networks"), [(0, set()), (3, {"critic", "critic_target"})])
 def test_pretraining_updates_the_actor_and_the_warm_up_everything(warmup, networks, make_learner):
     before = parameters(make_learner())
@@ -199,14 +191,26 @@ def test_dagger_queries_the_expert_before_every_step(make_toy, make_learner):
     np.testing.assert_allclose(following[within], left[within], atol=1e-5)
 
 
-def test_dagger_imitates_in_online_steps(make_toy, make_learner):
-    shares = {"sampler": {"shares": {"expert_fraction": 0.0}}}
-    kwargs = {"expert_episodes": 1, "learning_starts": 20, "replay_buffer_kwargs": shares}
+@pytest.mark.parametrize(
+    ("kwargs", "additions", "steps"),
+    [
+        ({"expert_episodes": 0, "learning_starts": 400}, {"self_imitation_temperature": 0.1}, 410),
+        ({"expert_episodes": 1, "learning_starts": 20}, {"callback": DaggerCallback()}, 25),
+    ],
+    ids=["self-imitation", "dagger"],
+)
+def test_online_steps_are_imitated(kwargs, additions, steps, make_learner):
+    kwargs["replay_buffer_kwargs"] = {"sampler": {"shares": {"expert_fraction": 0.0}}}
     losses = []
-    for callback in (None, DaggerCallback()):
-        model = make_learner(**kwargs).learn(25, callback=callback)
+    for more in ({}, dict(additions)):
+        callback = more.pop("callback", None)
+        model = make_learner(**kwargs, **more).learn(steps, callback=callback)
         losses.append(model.logger.name_to_value["train/bc_loss"])
     assert losses[0] == 0.0 < losses[1]
+
+
+def test_dagger_needs_an_expert(make_learner):
+    model = make_learner()
     model.env.has_attr = lambda name: name != "expert_action"
     with pytest.raises(ValueError, match=r"env must have expert_action\(\)"):
         model.learn(5, callback=DaggerCallback())

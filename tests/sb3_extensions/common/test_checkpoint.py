@@ -147,33 +147,30 @@ def stacked(env):
     return TransformObservation(env, lambda obs: {k: v[:, 0] for k, v in obs.items()}, spaces.Dict(parts))
 
 
+def stock_algorithm(env):
+    settings = {"n_steps": 8, "batch_size": 8, "policy_kwargs": {"net_arch": [8]}}
+    return PPO("MultiInputPolicy", env, seed=0, device="cpu", **settings)
+
+
 @pytest.mark.parametrize(
-    "wrap",
+    ("wrap", "make"),
     [
-        lambda env: DelayObservation(env, 2),
-        lambda env: TimeAwareObservation(env, flatten=False),
-        lambda env: NormalizeReward(TransformReward(env, lambda reward: reward - 0.1)),
-        stacked,
+        (lambda env: DelayObservation(env, 2), None),
+        (lambda env: TimeAwareObservation(env, flatten=False), None),
+        (lambda env: NormalizeReward(TransformReward(env, lambda reward: reward - 0.1)), None),
+        (stacked, None),
+        (lambda env: env, stock_algorithm),
     ],
-    ids=["delay", "time", "rewards", "frames"],
+    ids=["delay", "time", "rewards", "frames", "stock algorithm"],
 )
-def test_states_of_gymnasium_wrappers_are_restored(wrap, make_model, tmp_path):
+def test_wrappers_and_stock_algorithms_resume_exactly(wrap, make, make_model, tmp_path):
     def make_env():
         return DummyVecEnv([lambda: wrap(gym.make("ToyReach-v0", max_episode_steps=6))])
 
     saving = DirectoryCheckpointCallback(STEPS, tmp_path)
-    whole = make_model(make_env()).learn(STEPS + MORE_STEPS, callback=saving)
+    whole = (make or make_model)(make_env()).learn(STEPS + MORE_STEPS, callback=saving)
     resumed = resume(min(tmp_path.iterdir()), make_env(), device="cpu")
     resumed.learn(STEPS + MORE_STEPS - resumed.num_timesteps, reset_num_timesteps=False)
-    assert_same(whole, resumed)
-
-
-def test_a_stock_algorithm(make_toy, tmp_path):
-    settings = {"n_steps": 8, "batch_size": 8, "policy_kwargs": {"net_arch": [8]}, "seed": 0, "device": "cpu"}
-    whole = PPO("MultiInputPolicy", make_toy(), **settings)
-    whole.learn(48, callback=DirectoryCheckpointCallback(24, tmp_path))
-    resumed = resume(min(tmp_path.iterdir()), make_toy(), device="cpu")
-    resumed.learn(48 - resumed.num_timesteps, reset_num_timesteps=False)
     assert_same(whole, resumed)
 
 

@@ -1,21 +1,13 @@
-"""Groups, and filters: representations, expansion from weights, rotations off the grid of pixels."""
+"""Filters of equivariant layers: rotations off the grid of pixels, and memory."""
 
 import copy
 import math
 
-import numpy as np
 import pytest
 import torch as th
-from scipy.linalg import block_diag
 
 from sb3_extensions.equivariant.groups import FieldType, Group
-from sb3_extensions.equivariant.harmonics import harmonic_basis
 from sb3_extensions.equivariant.layers import EquivariantConv2d, expanded_filters
-from sb3_extensions.equivariant.steerable import WHOLE_BASIS_LIMIT
-
-C4, C8, C16 = (Group("cyclic", n) for n in (4, 8, 16))
-D4, D8 = (Group("dihedral", n) for n in (4, 8))
-
 
 SIZES = range(3, 9)
 FIELDS = 8
@@ -79,39 +71,6 @@ def test_constant_image_has_no_direction(n, size):
     out = layer(th.ones(1, 1, size, size)).detach().unflatten(1, (FIELDS, n))[..., 0, 0]
     assert out.abs().max() > 0.1
     assert out.std(dim=2).max() < 1e-6
-
-
-# Output representation and side of filters from regular fields, and whether the whole basis is kept.
-FROM_REGULAR = [(C8.regular, 4, True), (D4.sign, 5, True), (D4.quotient(2), 3, True), (D8.regular, 3, False)]
-
-
-def projected_basis(out_rep, kernel_size):
-    """Project every tensor (harmonics x out) of the first channel of a regular field."""
-    group = out_rep.group
-    harmonics, frequencies = harmonic_basis(kernel_size, group.n)
-    reps = [group.irrep(frequency) if frequency else group.trivial for frequency in frequencies]
-    turns = np.stack([block_diag(*(rep.matrices[g] for rep in reps)) for g in range(group.order)])
-    mean = np.einsum("gab,gcd,gef->acebdf", turns, out_rep.matrices, group.regular.matrices) / group.order
-    coefficients = mean[..., 0].reshape(*mean.shape[:3], -1) * math.sqrt(group.order * out_rep.size)
-    basis: np.ndarray = np.einsum("hoip,hxy->poixy", coefficients, harmonics)
-    return basis
-
-
-@pytest.mark.parametrize("out_rep, kernel_size, whole", FROM_REGULAR, ids=str)
-def test_expansion_equals_the_projected_basis(out_rep, kernel_size, whole):
-    th.manual_seed(0)
-    basis = projected_basis(out_rep, kernel_size)
-    assert (len(basis) <= WHOLE_BASIS_LIMIT) == whole
-    in_type, out_type = FieldType.of((out_rep.group.regular, 2)), FieldType.of((out_rep, 3))
-    layer = EquivariantConv2d(in_type, out_type, kernel_size)
-    (weights,) = layer.weights.values()
-    assert weights.shape == (3, 2, len(basis))
-    expected = np.einsum("OIp,poixy->OoIixy", weights.detach().numpy(), basis)
-    found = layer.expand().detach().numpy()
-    np.testing.assert_allclose(found, expected.reshape(found.shape), atol=1e-6)
-    noise, constant = np.square(basis).sum(), np.square(basis.sum(axis=(2, 3, 4))).sum()
-    std = math.sqrt(2 * basis[0].size / max(noise, constant) / (in_type.size * kernel_size**2))
-    assert layer.space.std("0_0", math.sqrt(2)) == pytest.approx(std)
 
 
 def test_largest_layers_need_little_memory():

@@ -2,9 +2,11 @@
 
 import copy
 import io
+import itertools
 import math
 import pickle
 
+import numpy as np
 import pytest
 import torch as th
 from stable_baselines3.common.utils import polyak_update
@@ -15,21 +17,18 @@ from sb3_extensions.encoders.cnn import count_halvings
 from sb3_extensions.encoders.extractors import EquivariantEncoder
 from sb3_extensions.equivariant.convolution import convolve
 from sb3_extensions.equivariant.groups import FieldType, Group
+from sb3_extensions.equivariant.harmonics import harmonic_basis
 from sb3_extensions.equivariant.layers import (
     DynamicEquivariantConv2d,
     EquivariantConv2d,
     EquivariantLinear,
     expanded_filters,
 )
+from sb3_extensions.equivariant.steerable import steerable_basis
 
 C4, C8, D4 = Group("cyclic", 4), Group("cyclic", 8), Group("dihedral", 4)
 GROUPS = [Group("cyclic", n) for n in (1, 2, 8)] + [Group("dihedral", n) for n in (1, 4)]
 EXACT = 1e-5
-
-
-@pytest.fixture(autouse=True)
-def _seed():
-    th.manual_seed(0)
 
 
 def mixed_type(group):
@@ -97,6 +96,17 @@ def test_layers_commute_with_the_group(make, group):
         if on_grid or features.dim() == 2 or features.shape[-1] == 1:
             turned = layer(act(features, fields, element))
             assert relative_error(turned, act(out, fields, element)) < EXACT, element
+
+
+@pytest.mark.parametrize("group", GROUPS, ids=str)
+def test_basis_has_the_dimension_of_the_space_of_equivariant_filters(group):
+    """The number of trivial representations in the product, from the characters."""
+    _, frequencies = harmonic_basis(3, group.n)
+    waves = [group.irrep(frequency) if frequency else group.trivial for frequency in frequencies]
+    character = sum(np.trace(wave.matrices, axis1=1, axis2=2) for wave in waves)
+    for (ours, _), (theirs, _) in itertools.product(mixed_type(group).fields, repeat=2):
+        traces = [np.trace(rep.matrices, axis1=1, axis2=2) for rep in (ours, theirs)]
+        assert len(steerable_basis(ours, theirs, 3)) == round(np.mean(character * traces[0] * traces[1]))
 
 
 @pytest.mark.parametrize(("group", "kernel_size"), [(D4, 3), (Group("cyclic", 32), 1)])
