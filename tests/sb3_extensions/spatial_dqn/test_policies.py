@@ -11,8 +11,6 @@ from gymnasium import spaces
 import bulletarm_gym  # noqa: F401  registers the environments
 from sb3_extensions.spatial_dqn import EquivariantASRPolicy, FCNPolicy, SpatialDQN
 
-Scenes = dict[str, th.Tensor]
-
 
 def test_predicted_actions_are_on_the_grid(case, make_picking, make_policy):
     """In an action space from 2 to 5."""
