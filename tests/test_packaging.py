@@ -5,7 +5,6 @@ import shutil
 import subprocess
 import sys
 import zipfile
-from collections.abc import Callable
 from importlib import metadata
 from pathlib import Path
 
@@ -15,7 +14,6 @@ from packaging.specifiers import SpecifierSet
 from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).resolve().parent.parent
-Run = Callable[..., subprocess.CompletedProcess[str]]
 PACKAGES = ("bulletarm_gym", "sb3_extensions", "zoo_configs")
 METADATA = ("pyproject.toml", "README.md", "LICENSE")
 MAX_BASE_PACKAGES = 25

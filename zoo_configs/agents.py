@@ -85,8 +85,7 @@ def find_agent(query: AgentQuery) -> Agent:
     if query.published is not None:
         return _published_agent(query)
     if query.path is not None and query.path.suffix == ".zip":
-        _check_unused(query, "a model file", "baseline", "preset")
-        _check_best(query, "a model file")
+        _check_unused(query, "a model file", "baseline", "preset", "load_best")
         return _agent_of_file(query.path, query)
     return agent_of(find_run(query), query.load_best, query.device)
 
@@ -102,14 +101,9 @@ def find_run(query: AgentQuery) -> Run:
 
 def _check_unused(query: AgentQuery, source: str, *names: str) -> None:
     """Raise ``CommandError`` if a query has properties that cannot select an agent of its source."""
-    if given := [f"--{name}" for name in names if getattr(query, name) is not None]:
-        raise CommandError(f"{', '.join(given)} cannot be combined with {source}")
-
-
-def _check_best(query: AgentQuery, source: str) -> None:
-    """Raise ``CommandError`` if a query selects the last model of a source with one model."""
-    if not query.load_best:
-        raise CommandError(f"--load-last cannot be combined with {source}")
+    changed = [name for name in names if getattr(query, name) != getattr(AgentQuery, name)]
+    if flags := [f"--{name}".replace("load_best", "load-last") for name in changed]:
+        raise CommandError(f"{', '.join(flags)} cannot be combined with {source}")
 
 
 def register_run(run: Run) -> None:
@@ -206,8 +200,7 @@ def load_model(
 def _published_agent(query: AgentQuery) -> Agent:
     if query.path is not None:
         raise CommandError("--published names an agent: pass no path")
-    _check_unused(query, "--published", "env", "algo", "preset")
-    _check_best(query, "--published")
+    _check_unused(query, "--published", "env", "algo", "preset", "load_best")
     card = find_published(str(query.published), query.baseline)
     register_environments(card.gym_packages)
     known_env_id(card.env)

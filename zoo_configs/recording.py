@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -118,18 +118,13 @@ def _record_episode(actor: Actor, seed: int, title: str) -> Iterator[tuple[Frame
         yield compose_frame(picture, images, caption, success, values), success
         if over:
             return
-        with _recorded_motion(env) as pictures:
+        unwrapped: Any = env.unwrapped
+        motion = unwrapped.viewer.record_images(env.render) if _is_open_loop(env) else nullcontext(())
+        with motion as pictures:  # images of the motion during an open-loop action
             seen, _, terminated, truncated, info = env.step(actor.act(seen))
         over = terminated or truncated
         for picture in pictures:
             yield compose_frame(picture, images, caption, success, values), success
-
-
-def _recorded_motion(env: gym.Env[Any, Any]) -> AbstractContextManager[list[Any]]:
-    """Return a context that collects images of the motion during an open-loop action."""
-    if not _is_open_loop(env):
-        return nullcontext([])
-    return env.unwrapped.viewer.record_images(env.render)  # type: ignore[attr-defined, no-any-return]
 
 
 def _is_open_loop(env: gym.Env[Any, Any]) -> bool:

@@ -220,10 +220,11 @@ def test_no_step_after_the_end(picking):
         picking.set_state(at_the_end)
 
 
-def test_no_step_after_a_reset_without_a_scene(make):
+@pytest.mark.parametrize("error", [PlacementError, KeyboardInterrupt])
+def test_no_step_after_a_reset_without_a_scene(make, error):
     env = make(PICKING, seed=0)
-    with patch.object(type(env.task), "arrange", side_effect=PlacementError("no room")):
-        with pytest.raises(PlacementError, match="no room"):
+    with patch.object(type(env.task), "arrange", side_effect=error("no room")):
+        with pytest.raises(error, match="no room"):
             env.reset()
     for call in (env.expert_action, env.get_state, lambda: env.step(idle(env))):
         with pytest.raises(gymnasium.error.ResetNeeded):

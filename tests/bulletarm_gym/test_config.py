@@ -1,4 +1,4 @@
-"""Parameters of environments: defaults, checks, errors that name the parameter and the value."""
+"""Parameters of environments: defaults, those of the paper's benchmarks, checks, errors with their reason."""
 
 import json
 import pickle
@@ -11,9 +11,12 @@ import numpy as np
 import pytest
 from rollouts import PICKING, make_env
 
+import bulletarm_gym
+from bulletarm_gym.benchmarks import BENCHMARKS
 from bulletarm_gym.config import PARAMETERS, Context, EnvConfig, ParameterError, TaskDefaults
 from bulletarm_gym.geometry import PlacementError
 from bulletarm_gym.randomization import Randomization
+from bulletarm_gym.registry import PAPER, load
 
 TASK = TaskDefaults(num_objects=2, max_steps=50, object_scale=0.8, allowed_objects=(2, 3))
 WRIST = UserDict(name="wrist", sensor="rgb", size=UserList([20, 16]))
@@ -204,3 +207,35 @@ def test_configurations_share_no_values():
         assert np.array_equal(workspace, WORKSPACE)
     config().workspace[0][0] = 9.0
     assert config().workspace == WORKSPACE
+
+
+EPISODES = {"CovidTest": 500, "Ramp": 1000, "OpenLoop": 200, "CloseLoop": 100}
+"""Number of expert episodes by the first word that is in an id."""
+SEQUENCES = {
+    "open_loop_2d": "pxy",
+    "open_loop_3d": "pxyr",
+    "open_loop_6d": "pxyzrrr",
+    "close_loop_3d": "pxyz",
+    "close_loop_4d": "pxyzr",
+}
+
+
+@pytest.mark.parametrize("name", SEQUENCES)
+def test_benchmarks_have_the_papers_numbers(name):
+    benchmark, entries = BENCHMARKS[name], {entry.env_id: entry for entry in PAPER}
+    rotates = "r" in SEQUENCES[name]
+    assert (benchmark.action_sequence, benchmark.random_orientation) == (SEQUENCES[name], rotates)
+    for row in benchmark.environments:
+        assert row.expert_episodes == next(count for word, count in EPISODES.items() if word in row.env_id)
+        size = 40 if "Bump" in row.env_id else 24 if "OpenLoop" in row.env_id else None
+        assert benchmark.make_kwargs(row).get("in_hand_size") == size
+        entry = entries[row.env_id]
+        context = Context(entry.control, load(entry.task).defaults, entry.surface)
+        config = EnvConfig.of(context, benchmark.make_kwargs(row), entry.defaults)
+        assert (config.num_objects, config.max_steps) == (row.num_objects, row.max_steps)
+        assert row.optimal_steps <= row.max_steps
+
+
+def test_every_environment_of_the_benchmarks_is_registered():
+    listed = {env.env_id for benchmark in BENCHMARKS.values() for env in benchmark.environments}
+    assert set(bulletarm_gym.PAPER_IDS) == listed and len(listed) == 31

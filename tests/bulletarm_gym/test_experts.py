@@ -1,18 +1,20 @@
-"""Experts solve their tasks, recover from failures, change nothing and respect the limits of the control."""
+"""Experts solve their tasks, recover from failures, respect the limits of the control, build structures."""
 
 import math
 
 import numpy as np
 import pytest
-from rollouts import PICKING, finish, make_env
+from rollouts import PICKING, digest, finish, make_env
 from small_arm import PARAMETERS, SMALL
 
 from bulletarm_gym.control import CloseLoop, RobotInterface
+from bulletarm_gym.demonstrations import collect
 from bulletarm_gym.experts.approach import avoid_limits
-from bulletarm_gym.geometry import Pose
+from bulletarm_gym.geometry import Pose, euler_pose
 from bulletarm_gym.observations import View
 from bulletarm_gym.robots import Robot
 from bulletarm_gym.scene import Scene, SceneObject
+from bulletarm_gym.scene import predicates as are
 from bulletarm_gym.simulation import Body, World
 from bulletarm_gym.tasks import Task
 
@@ -121,3 +123,177 @@ def test_expert_respects_the_limits_of_the_control(make):
     assert max(map(abs, move.translation)) <= 0.01 + 1e-9
     assert abs(move.rotation) <= math.pi / 20.0 + 1e-9
     assert finish(env)[0]
+
+
+CUBE = 0.03
+CENTRE = 0.45
+HOUSE_1 = "BulletArm/OpenLoopHouseBuilding1-v0"
+HOUSE_2 = "BulletArm/OpenLoopHouseBuilding2-v0"
+HOUSE_3 = "BulletArm/OpenLoopHouseBuilding3-v0"
+HOUSE_4 = "BulletArm/OpenLoopHouseBuilding4-v0"
+IMPROVISE_2 = "BulletArm/OpenLoopImproviseHouseBuilding2-v0"
+IMPROVISE_3 = "BulletArm/OpenLoopImproviseHouseBuilding3-v0"
+RAMP = "BulletArm/OpenLoopRampHouseBuilding2-v0"
+BUMP = "BulletArm/OpenLoopBumpHouseBuilding4-v0"
+STACKING = "BulletArm/CloseLoopBlockStacking-v0"
+OPEN_STACKING = "BulletArm/OpenLoopBlockStacking-v0"
+PAIR = {"cube_0": (-0.025, 0.0), "cube_1": (0.025, 0.0)}
+
+
+def lay(env, **places):
+    """Place blocks at y, height of their lowest points and, if given, x and yaw; all others aside."""
+    env.reset(seed=0)
+    aside = np.linspace(-0.16, 0.16, len(env.scene.objects)).tolist()
+    for y, obj in zip(aside, env.scene.objects, strict=True):
+        obj.place(Pose.planar(0.32, y, CUBE / 2.0, math.pi / 2.0))
+    for name, (y, low, *rest) in places.items():
+        x, yaw = (*rest, CENTRE, 0.0)[:2] if len(rest) != 1 else (rest[0], 0.0)
+        env.scene[name.replace("_", " ")].place(Pose.planar(x, y, low + CUBE / 2.0, yaw))
+    return env
+
+
+@pytest.fixture
+def cubes(make):
+    env = make(STACKING, num_objects=3, seed=0)
+    return env.scene
+
+
+def place(scene, *positions):
+    """Place the cubes of 5 cm relative to x = 0.45, y = 0 m."""
+    for obj, (x, y, z) in zip(scene.objects, positions, strict=True):
+        obj.place(Pose.planar(0.45 + x, y, z))
+    return scene.objects
+
+
+def test_stacked(cubes):
+    for positions, expected in (
+        (((0.0, 0.0, 0.125), (0.01, 0.0, 0.025), (0.0, 0.01, 0.075)), True),
+        (((0.0, 0.0, 0.125), (0.1, 0.0, 0.025), (0.0, 0.01, 0.075)), False),
+        (((0.0, 0.0, 0.135), (0.0, 0.0, 0.035), (0.0, 0.0, 0.085)), False),  # not on the surface
+        (((0.0, 0.0, 0.025), (0.0, 0.05, 0.025), (0.0, 0.025, 0.075)), False),  # two at one level
+    ):
+        assert are.stacked(cubes, place(cubes, *positions)) is expected
+
+
+def test_relations_of_two_cubes(cubes):
+    for aside, expected in ((0.024, True), (0.026, False)):
+        first, second, _ = place(cubes, (0.0, 0.0, 0.025), (0.0, aside, 0.075), (0.1, 0.1, 0.075))
+        assert are.on_top(cubes, first, second) is expected
+        assert not are.on_top(cubes, second, first)
+    assert [are.is_top(obj, cubes.objects) for obj in cubes.objects] == [False, True, True]
+    for gap, expected in ((0.001, True), (0.003, False)):
+        first, second, _ = place(cubes, (0.0, 0.0, 0.025), (0.0, 0.05 + gap, 0.025), (0.1, -0.1, 0.025))
+        assert are.touching(cubes, first, second) is expected
+
+
+def test_poses_of_one_cube(cubes):
+    cube = cubes.objects[0]
+    for degrees, is_upright in ((19.0, True), (21.0, False), (90.0, False)):
+        cube.place(euler_pose((0.45, 0.0, 0.1), (0.0, math.radians(degrees), 0.0)))
+        assert are.upright(cube) is is_upright
+    edge = euler_pose((0.45, 0.0, 0.025 * math.sqrt(2.0)), (math.pi / 4.0, 0.0, 0.0))
+    for pose in (Pose.planar(0.45, 0.0, 0.025, 0.3), edge, Pose((0.45, 0, 0.03))):
+        cube.place(pose)
+        assert are.on_surface(cubes, cube) is (pose.z != 0.03)
+    cubes.begin()
+    cubes.world.step(3)
+    cubes.world.end()
+    assert not are.at_rest(cubes)
+
+
+ROOF = {**PAIR, "roof": (0.0, CUBE)}
+UPPER = {"cube_2": (-0.03, 2 * CUBE), "cube_3": (0.03, 2 * CUBE), "roof": (0.0, 3 * CUBE)}
+FOUR_LAYERS = {**PAIR, "brick": (0.0, CUBE), **UPPER}
+
+
+def test_success_of_a_house(make):
+    for env_id, blocks, expected in (
+        (HOUSE_2, ROOF, True),
+        (HOUSE_2, {**ROOF, "roof": (0.0, CUBE, CENTRE + 0.012, math.pi)}, True),
+        (HOUSE_2, {**ROOF, "roof": (0.028, CUBE)}, True),
+        (HOUSE_2, {**ROOF, "roof": (0.032, CUBE)}, False),
+        (HOUSE_2, {**ROOF, "roof": (0.0, CUBE, CENTRE, math.radians(24.0))}, True),
+        (HOUSE_2, {**ROOF, "roof": (0.0, CUBE, CENTRE, math.radians(27.0))}, False),
+        (HOUSE_2, {**ROOF, "roof": (0.0, CUBE + 0.004)}, False),
+        (HOUSE_2, {**ROOF, "cube_1": (-0.025, 0.0, CENTRE, 0.5), "cube_0": (0.025, 0.0, CENTRE, 2.0)}, True),
+        (HOUSE_2, {**ROOF, "cube_0": (0.0, 0.0), "cube_1": (0.1, 0.0)}, False),
+        (HOUSE_4, FOUR_LAYERS, True),
+        (HOUSE_4, {**FOUR_LAYERS, "cube_0": (-0.03, 2 * CUBE), "cube_2": (-0.025, 0.0)}, True),
+        (HOUSE_4, {**FOUR_LAYERS, "cube_3": (0.1, 0.0)}, False),
+        (HOUSE_4, {**FOUR_LAYERS, "brick": (0.0, 3 * CUBE), "roof": (0.0, CUBE)}, False),
+        (HOUSE_4, {**FOUR_LAYERS, "brick": (0.0, CUBE, CENTRE, 0.5)}, False),
+    ):
+        env = lay(make(env_id), **blocks)
+        assert env.task.evaluate(env.scene)["success"] is expected
+
+
+@pytest.mark.parametrize("env_id", [HOUSE_2, RAMP])
+def test_a_fallen_roof_ends_the_episode(make, env_id):
+    env = make(env_id, seed=0)
+    roof = env.scene["roof"]
+    assert env.task.is_valid(env.scene)
+    roof.place(roof.pose.compose(euler_pose((0.0, 0.0, 0.0), (math.pi, 0.0, 0.0))))
+    _, reward, terminated, _, info = env.step(env.expert_action())
+    assert (reward, terminated, info["is_valid"]) == (0.0, True, False)
+
+
+def test_expert_needs_two_steps_a_block(make):
+    """The first block stays where it is, except on bumps."""
+    for env_id, parameters, picks in (
+        (HOUSE_4, {}, 5),
+        (IMPROVISE_3, {}, 3),
+        (BUMP, {}, 6),
+        (HOUSE_1, {"action_sequence": "xyzrrr"}, 3),
+        (HOUSE_1, {"half_rotation": False, "workspace": [[0.3, 0.6], [-0.1, 0.2], [0.0, 0.5]]}, 3),
+        (HOUSE_1, {"object_scale_range": [0.5, 0.8], "num_objects": 3}, 2),
+    ):
+        env = make(env_id, **parameters, seed=1)
+        assert finish(env) == (True, 2 * picks)
+
+
+def test_expert_takes_wrong_structures_apart(make):
+    for wrong, steps in (
+        ({"cube_0": (0.0, 0.0), "brick": (0.0, CUBE)}, 8),
+        ({**PAIR, "roof": (0.0, CUBE)}, 6),
+        ({**PAIR, "brick": (0.0, CUBE, CENTRE, 1.0)}, 4),
+        ({"cube_0": (0.0, 0.0), "cube_1": (0.0, CUBE)}, 6),
+        ({"brick": (0.0, 0.0), "cube_0": (-0.03, CUBE), "cube_1": (0.03, CUBE)}, 8),
+    ):
+        solved, count = finish(lay(make(HOUSE_3), **wrong))
+        assert solved and count <= steps
+
+
+def test_random_blocks_are_placed_without_a_rotation(make):
+    """The blocks of these seeds are grasped off their middles, and their line points backwards."""
+    env = make(IMPROVISE_2, action_sequence="pxy", random_orientation=False)
+    for seed in (25, 78, 111):
+        env.reset(seed=seed)
+        assert finish(env) == (True, 4)
+
+
+@pytest.mark.parametrize("env_id", [OPEN_STACKING, IMPROVISE_3, RAMP, STACKING])
+def test_goal_starts_are_solved_and_repeatable(make, env_id):
+    env = make(env_id)
+    for seed in range(2):
+        first, info = env.reset(seed=seed, options={"start": "goal"})
+        assert info["is_success"] and info["is_valid"] and first in env.observation_space
+        assert digest(first) == digest(env.reset(seed=seed, options={"start": "goal"})[0])
+
+
+def test_demonstrations_rebuild_the_structure(make):
+    for env_id, env_kwargs in (
+        (OPEN_STACKING, {"action_sequence": "pxy", "random_orientation": False}),
+        (IMPROVISE_3, {}),
+        *((HOUSE_1, {"robot": robot}) for robot in ("panda", "ur5_robotiq")),
+    ):
+        demonstrations = collect(env_id, 2, "deconstruction", seed=0, env_kwargs=env_kwargs)
+        assert demonstrations.attempts <= 3
+        env = make(env_id, **env_kwargs)
+        steps = 2 * (env.config.num_objects - 1)
+        for episode in demonstrations:
+            holding, in_hand = (episode.observations[name][:-1] for name in ("holding", "in_hand"))
+            for is_held in (holding[:, 0] == 1.0, in_hand.any(axis=(1, 2, 3))):
+                np.testing.assert_array_equal(is_held, np.resize([False, True], steps))
+        env.set_state(demonstrations[0].state)
+        if "random_orientation" in env_kwargs:
+            assert [obj.pose.yaw for obj in env.scene] == pytest.approx([0.0] * 4, abs=1e-4)

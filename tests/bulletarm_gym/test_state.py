@@ -11,9 +11,7 @@ import pickle
 import sys
 from collections import OrderedDict
 from dataclasses import dataclass, field, make_dataclass, replace
-from unittest.mock import Mock
 
-import gymnasium
 import numpy as np
 import pytest
 from rollouts import PICKING, TYPICAL, advance, answer, digest, make_env, transcript
@@ -245,16 +243,6 @@ def test_state_does_not_share_the_memory_of_the_task(picking):
     picking.set_state(state)
     picking.task.memory.append(3)
     assert state.memory == [1] and picking.task.memory == [1, 3]
-
-
-def test_interrupted_reset_begins_no_episode(picking, monkeypatch):
-    picking.reset(seed=0)
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(picking.task, "arrange", Mock(side_effect=KeyboardInterrupt))
-        picking.reset(seed=1)
-    with pytest.raises(gymnasium.error.ResetNeeded):
-        picking.step(np.zeros(5))
-    picking.reset(seed=1)
 
 
 def test_json_keeps_declared_memory():

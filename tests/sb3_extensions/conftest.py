@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import gymnasium as gym
 import numpy as np
 import pytest
+import torch as th
 from gymnasium import spaces
 from stable_baselines3.common.env_util import make_vec_env
 
@@ -235,6 +236,11 @@ SMALL = {
     "EquivariantPolicy": {"features_extractor_kwargs": {"n": 4, "channels": [2, 4, 8]}},
     "StatePolicy": {"features_extractor_kwargs": {"layers": [32, 32]}, "net_arch": {"pi": [], "qf": [32]}},
 }
+
+
+@pytest.fixture(autouse=True)
+def _seed():
+    th.manual_seed(0)
 
 
 def make_envs(env_id, n_envs=1, seed=0, endless=False, **kwargs):

@@ -1,21 +1,30 @@
-"""Resuming of runs, and loading of models."""
+"""Resuming of runs, also after a kill at any moment, loading of models, and certificates of trainings."""
 
+import os
 import shlex
 import shutil
+import subprocess
+import sys
+from dataclasses import replace
 from pathlib import Path
 
 import gymnasium as gym
+import numpy as np
 import pytest
 import yaml
-from sweeps import RUN_NAME, same
+from sweeps import PATH, RUN_NAME, TINY, TUNED, jobs_of, same, study_of
 
 from bulletarm_gym.demonstrations import collect
 from sb3_extensions.sacfd import SACfD
 from zoo_configs.agents import algorithm_of
 from zoo_configs.algorithms import algorithm_classes
 from zoo_configs.cli import main
+from zoo_configs.publishing.published import read_card
 from zoo_configs.training import options
 from zoo_configs.training.runs import load_run
+from zoo_configs.training.state import State, run_status
+from zoo_configs.training.train import train_run
+from zoo_configs.tuning.study import counted
 
 STACKING = "BulletArm/OpenLoopBlockStacking-v0"
 
@@ -192,3 +201,99 @@ def test_a_model_file_is_recognized(name, env_id, policy, toy_id, tmp_path, refu
         words = [file, "--env", toy_id, "-n", "1", "--device", "cpu", "--env-kwargs", "obs_size:48"]
         assert main(["enjoy", *words]) == 0
         assert "'sacc'" in refuse("enjoy", *words, "--algo", "sacc")
+
+
+COUNTING = "CloseLoopToyCounting"
+OPTIONS = {**TINY["options"], "eval_freq": 4, "eval_episodes": 1, "save_freq": 4, "num_threads": 1}
+TUNE = ["tune", "--baseline", "sacfd", "--preset", "quick", *TUNED, "-n", "6", "--n-trials", "2"]
+TUNE += ["--num-threads", "1", "--eval-episodes", "1", "--n-evaluations", "2", "--n-startup-trials", "1"]
+TUNE += ["--env", f"toy_tasks:BulletArm/{COUNTING}-v0"]
+
+
+def moments(highest, count):
+    """Numbers of events; the default run has the first one alone."""
+    numbers = np.random.default_rng(0).integers(1, highest, count).tolist()
+    return [numbers[0], *(pytest.param(number, marks=pytest.mark.slow) for number in numbers[1:])]
+
+
+def train(folder):
+    [job] = jobs_of(Path(), tasks=[COUNTING], seeds=1, options=OPTIONS)
+    return train_run(replace(job, folder=Path(folder)))
+
+
+def run_dying(moment, code):
+    """Run code in a process that kills itself at an event."""
+    variables = {**os.environ, "DIES_AT": str(moment), "PYTHONPATH": PATH}
+    done = subprocess.run([sys.executable, "-c", code], env=variables, capture_output=True, check=False)
+    assert done.returncode in (0, -9), done.stderr
+
+
+@pytest.mark.usefixtures("toys")
+@pytest.mark.parametrize("moment", moments(45, 27))
+def test_a_killed_training_loses_nothing(moment, tmp_path):
+    run_dying(moment, f"import test_resuming; test_resuming.train({str(tmp_path / 'run')!r})")
+    assert run_status(tmp_path / "run").state in (State.WAITING, State.DONE, State.KILLED)
+    assert same(train(tmp_path / "run").folder, train(tmp_path / "whole").folder)
+
+
+@pytest.mark.usefixtures("toys")
+@pytest.mark.parametrize("moment", moments(60, 26))
+def test_a_killed_study_loses_nothing(moment, tmp_path):
+    (tmp_path / "space.yml").write_text("learning_rate: {low: 0.0001, high: 0.01, log: true}")
+    words = [*TUNE, "-f", str(tmp_path / "logs"), "--space", str(tmp_path / "space.yml")]
+    run_dying(moment, f"from zoo_configs.cli import main; main({words!r})")
+    assert main(words) == 0
+    assert main([*words, "--study-name", "whole"]) == 0
+    studies = [study_of(tmp_path / "logs", name) for name in (f"sacfd_{COUNTING}", "whole")]
+    killed, whole = ({str((t.params, t.value, t.state)) for t in counted(study)} for study in studies)
+    assert killed == whole and len(whole) == 2
+
+
+def test_a_repeated_training_has_the_checksums_of_the_run(run_folder, capsys):
+    first, *_, last = rows = yaml.safe_load((run_folder / "certificate.yml").read_text())["checksums"]
+    numbers = [row["updates"] for row in rows]
+    assert numbers[:3] == [0, 1, 2] and last["updates"] >= 10
+    assert len({row["parameters"] for row in rows}) == len(rows)
+    assert first["replay_buffer"] != last["replay_buffer"]
+    before = sorted(run_folder.rglob("*"))
+    assert main(["verify", str(run_folder), "--no-progress"]) == 0
+    assert ", ".join(map(str, numbers)) in capsys.readouterr().out.splitlines()[-1]
+    assert sorted(run_folder.rglob("*")) == before
+
+
+def test_a_longer_run_repeats_until_its_first_end(run_folder, tmp_path, capsys):
+    """Its learning rate depends on the number of time steps."""
+    copy = shutil.copytree(run_folder, tmp_path / "run")
+    assert main(["train", "--resume", str(copy), "-n", "30", "--no-progress"]) == 0
+    assert (copy / "certificate.yml").read_text() == (run_folder / "certificate.yml").read_text()
+    assert main(["verify", str(copy), "--no-progress"]) == 0
+
+
+@pytest.mark.parametrize("quantity", ["observations", "parameters", "replay_buffer"])
+def test_the_first_difference_and_other_versions_are_named(quantity, run_folder, tmp_path, refuse):
+    copy = shutil.copytree(run_folder, tmp_path / "run")
+    content = yaml.safe_load((copy / "certificate.yml").read_text())
+    content["checksums"][1][quantity] = "0" * 16
+    content["versions"]["python"] = "2.7"
+    (copy / "certificate.yml").write_text(yaml.safe_dump(content))
+    message = refuse("verify", str(copy), "--no-progress", "--updates", "1")
+    assert f"{quantity} differ after 1 updates" in message and "2.7" in message
+
+
+def test_a_published_agent_can_be_verified(run_folder, tmp_path):
+    folder = str(tmp_path / "agent")
+    assert main(["push", str(run_folder), "--folder", folder, "-n", "1", "--no-progress"]) == 0
+    certificate = read_card(tmp_path / "agent").certificate
+    assert certificate["options"] == {"n_timesteps": 12, "vec_env": "dummy", "num_threads": 1}
+    assert main(["verify", "--published", folder, "--updates", "1", "--no-progress"]) == 0
+
+
+def test_mistakes_are_one_line(run_folder, tmp_path, refuse):
+    copy = shutil.copytree(run_folder, tmp_path / "run")
+    (copy / "certificate.yml").write_text("checksums: 1")
+    assert "certificate.yml" in refuse("verify", str(copy))
+    (copy / "certificate.yml").unlink()
+    assert "certificate.yml" in refuse("verify", str(copy))
+    assert "RUN_FOLDER" in refuse("verify")
+    assert "--baseline" in refuse("verify", str(run_folder), "--baseline", "sacfd")
+    assert "'-1'" in refuse("verify", str(run_folder), "--updates", "-1")

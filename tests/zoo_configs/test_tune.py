@@ -21,7 +21,6 @@ from zoo_configs.tuning.space import (
     baseline_value,
     first_values,
     load_space,
-    parse_space,
     sample_params,
 )
 from zoo_configs.tuning.study import ERROR
@@ -243,6 +242,10 @@ def test_whole_number_bounds_mean_whole_numbers_except_for_floats(tmp_path):
         ("gamma: {choices: [0.5, .nan]}", "gamma must be"),
         ("policy_kwargs.nonsense: {low: 1, high: 2}", "nonsense"),
         ("batch_size: {low: 4.0, high: 8.0}", "batch_size must be"),
+        *((space, "space.yml") for space in ("[]", "{}", "gamma: 0.9", "gamma: {choices: [], low: 1}")),
+        ("tau: {lo: 0.1, high: 1}", "lo"),
+        ("tau: {low: 1, high: 0}", "low < high"),
+        ("tau: {low: 0, high: 1, log: true}", "log"),
     ],
 )
 def test_a_space_with_values_that_cannot_be_trained_is_refused(space, named, tmp_path):
@@ -252,22 +255,8 @@ def test_a_space_with_values_that_cannot_be_trained_is_refused(space, named, tmp
 
 
 def test_values_of_a_space_are_checked_together(tmp_path):
-    (file := tmp_path / "space.yml").write_text(
-        "noise_type: {choices: [null, normal]}\nnoise_std: {low: 0.1, high: 0.2}"
-    )
-    assert (
-        len(
-            load_space(
-                ExperimentConfig("td3", "Pendulum-v1", {"n_timesteps": 9, "policy": "MlpPolicy"}), {}, file
-            )
-        )
-        == 2
-    )
-
-
-def test_an_invalid_space_is_refused():
-    bounds = ("{lo: 0.1, high: 1}", "{low: 1, high: 0}", "{low: 0, high: 1, log: true}")
-    choices = ("0.9", "{choices: [], low: 1}")
-    for space in ("[]", "{}", *(f"{{gamma: {value}}}" for value in (*bounds, *choices))):
-        with pytest.raises(CommandError, match="mine"):
-            parse_space("mine", yaml.safe_load(space))
+    """A type of noise needs a standard deviation, but none of these values does alone."""
+    noise = {"noise_type": {"choices": [None, "normal"]}, "noise_std": {"low": 0.1, "high": 0.2}}
+    (file := tmp_path / "space.yml").write_text(yaml.safe_dump(noise))
+    experiment = ExperimentConfig("td3", "Pendulum-v1", {"n_timesteps": 9, "policy": "MlpPolicy"})
+    assert len(load_space(experiment, {}, file)) == 2

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from sb3_extensions.common.checkpoint import latest_checkpoint
 from zoo_configs.arguments import MAX_SEED
-from zoo_configs.drawing.curves import draw_run
+from zoo_configs.drawing.curves import draw_curves, load_curve
 from zoo_configs.environments import register_environments
 from zoo_configs.errors import CommandError
 from zoo_configs.experiments.config import explained_yaml
@@ -82,5 +82,7 @@ def _resume(args: argparse.Namespace) -> Run:
 def _report(run: Run) -> None:
     files = [run.last_model, run.best_model, run.resolved_file]
     if run.evaluations_file.is_file():
-        files.append(draw_run(run))
+        curves = {run.experiment.label: load_curve(run.evaluations_file)}
+        draw_curves({run.experiment.env_id: curves}, run.curve_file)
+        files.append(run.curve_file)
     print_written(*(path for path in files if path.exists()))

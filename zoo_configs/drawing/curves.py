@@ -12,7 +12,6 @@ import pandas as pd
 from zoo_configs.errors import refused
 from zoo_configs.experiments.families import task_name
 from zoo_configs.files import whole_file
-from zoo_configs.training.runs import Run
 
 PANEL_SIZE = (4.2, 3.2)  # inches, with text of 12 points: readable where two panels share 400 pixels
 FONT_SIZE = 12
@@ -70,13 +69,6 @@ def mean_curve(curves: Sequence[LearningCurve]) -> LearningCurve:
     table = pd.concat([pd.Series(curve.success, curve.timesteps) for curve in curves], axis=1).sort_index()
     mean, error = table.mean(axis=1).to_numpy(), table.sem(axis=1).to_numpy()
     return LearningCurve(table.index.to_numpy(), mean, error, curves[0].measure, curves[0].episodes)
-
-
-def draw_run(run: Run) -> Path:
-    """Draw the learning curve of an evaluated run into its folder and return the figure."""
-    curves = {run.experiment.label: load_curve(run.evaluations_file)}
-    draw_curves({run.experiment.env_id: curves}, run.curve_file)
-    return run.curve_file
 
 
 def draw_curves(panels: Mapping[str, Mapping[str, LearningCurve]], path: Path) -> None:

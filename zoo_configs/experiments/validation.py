@@ -15,13 +15,12 @@ from zoo_configs.environments import load_expert_data
 from zoo_configs.errors import CommandError, check_names, refused, unknown_name
 from zoo_configs.experiments.config import ExperimentConfig, leaves
 from zoo_configs.files import format_yaml
-from zoo_configs.training.objects import NOISES, TRAINER_KEYS, described_classes, parsed
+from zoo_configs.training.objects import NOISES, SCHEDULE, TRAINER_KEYS, described_classes, parsed
 
 RESERVED_KEYS = {"_init_setup_model", "device", "env", "seed", "tensorboard_log", "verbose"}
 """Constructor arguments that the trainer passes to every algorithm."""
 DESCRIBED = ("callback", "env_wrapper", "vec_env_wrapper")
 """Hyperparameters that describe classes and their arguments."""
-SCHEDULE_PREFIX = "lin_"
 
 
 def _number(low: float, high: float = math.inf, whole: bool = False) -> tuple[str, Callable[[Any], bool]]:
@@ -41,9 +40,9 @@ ARGUMENTS = ("a mapping of arguments", lambda value: isinstance(value, Mapping |
 
 
 def _is_rate(value: Any) -> bool:
-    if isinstance(value, str) and value.startswith(SCHEDULE_PREFIX):
+    if isinstance(value, str) and (schedule := SCHEDULE.fullmatch(value)):
         with contextlib.suppress(ValueError):
-            value = float(value.removeprefix(SCHEDULE_PREFIX))
+            value = float(schedule[2])
     return RATE[1](value)
 
 
@@ -57,7 +56,7 @@ RANGES: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "expert_data": ("None or the path of a file", lambda value: isinstance(value, str | None)),
     "env_kwargs": ("a mapping of parameters", lambda value: isinstance(value, Mapping)),
     "gradient_steps": _number(-1, whole=True),
-    "learning_rate": (f"{RATE[0]}, or {SCHEDULE_PREFIX}NUMBER", _is_rate),
+    "learning_rate": (f"{RATE[0]}, or lin_NUMBER", _is_rate),
     **dict.fromkeys(("expert_episodes", "learning_starts", "pretrain_steps"), _number(0, whole=True)),
     "n_timesteps": _number(1),
     "noise_std": _number(0),

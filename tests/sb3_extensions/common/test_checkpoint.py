@@ -56,6 +56,9 @@ def assert_same(first, second):
         assert getattr(first, name) == getattr(second, name), name
     episodes = [[(e["r"], e["l"]) for e in m.ep_info_buffer] for m in (first, second)]
     assert episodes[0] == episodes[1] and first.ep_success_buffer == second.ep_success_buffer
+    statistics = [model.get_vec_normalize_env() for model in (first, second)]
+    if statistics[0] is not None:
+        assert_equal_trees(*([vars(each.ret_rms), vars(each.obs_rms["holding"])] for each in statistics))
 
 
 def assert_equal_trees(first, second):
@@ -124,56 +127,44 @@ def test_run_interrupted_in_pretraining_resumes_there(kwargs, make_toy, make_mod
     assert_equal_trees(whole.get_parameters(), resumed.get_parameters())
 
 
-def test_states_of_wrappers_and_time_limits_are_restored(make_model, tmp_path):
-    def make_env():
-        env = DummyVecEnv([lambda: gym.make("ToyReach-v0", max_episode_steps=6)] * 2)
-        return VecNormalize(VecMonitor(env), norm_obs_keys=["holding"])
-
-    whole = make_model(make_env()).learn(STEPS + 2 * MORE_STEPS)
-    save_checkpoint(make_model(make_env()).learn(STEPS), tmp_path)
-    resumed = resume(tmp_path, make_env(), device="cpu")
-    steps = resumed.env.get_attr("steps")
-    assert steps == resumed.env.get_attr("_elapsed_steps") != [0, 0]
-    # The learning rate depends on the length of the run, which the first part did not know.
-    resumed.learn(2 * MORE_STEPS, reset_num_timesteps=False)
-    np.testing.assert_array_equal(whole.env.ret_rms.count, resumed.env.ret_rms.count)
-    np.testing.assert_array_equal(whole.env.obs_rms["holding"].count, resumed.env.obs_rms["holding"].count)
-    assert 0 < max(e["l"] for e in resumed.ep_info_buffer) <= 6
-
-
 def stacked(env):
     parts = {key: spaces.Box(0, 1, (2, *part.shape[1:])) for key, part in env.observation_space.items()}
     env = FrameStackObservation(env, 2)
     return TransformObservation(env, lambda obs: {k: v[:, 0] for k, v in obs.items()}, spaces.Dict(parts))
 
 
+def normalised(env):
+    return VecNormalize(VecMonitor(env), norm_obs_keys=["holding"])
+
+
+def stock_algorithm(env):
+    settings = {"n_steps": 8, "batch_size": 8, "policy_kwargs": {"net_arch": [8]}}
+    return PPO("MultiInputPolicy", env, seed=0, device="cpu", **settings)
+
+
 @pytest.mark.parametrize(
-    "wrap",
+    ("wrap", "wrap_vector", "make"),
     [
-        lambda env: DelayObservation(env, 2),
-        lambda env: TimeAwareObservation(env, flatten=False),
-        lambda env: NormalizeReward(TransformReward(env, lambda reward: reward - 0.1)),
-        stacked,
+        (lambda env: DelayObservation(env, 2), None, None),
+        (lambda env: TimeAwareObservation(env, flatten=False), None, None),
+        (lambda env: NormalizeReward(TransformReward(env, lambda reward: reward - 0.1)), None, None),
+        (stacked, None, None),
+        (None, normalised, None),
+        (None, None, stock_algorithm),
     ],
-    ids=["delay", "time", "rewards", "frames"],
+    ids=["delay", "time", "rewards", "frames", "vector", "stock algorithm"],
 )
-def test_states_of_gymnasium_wrappers_are_restored(wrap, make_model, tmp_path):
+def test_wrappers_and_stock_algorithms_resume_exactly(wrap, wrap_vector, make, make_model, tmp_path):
     def make_env():
-        return DummyVecEnv([lambda: wrap(gym.make("ToyReach-v0", max_episode_steps=6))])
+        limited = gym.make("ToyReach-v0", max_episode_steps=6)
+        env = DummyVecEnv([lambda: wrap(limited) if wrap else limited])
+        return wrap_vector(env) if wrap_vector else env
 
     saving = DirectoryCheckpointCallback(STEPS, tmp_path)
-    whole = make_model(make_env()).learn(STEPS + MORE_STEPS, callback=saving)
+    whole = (make or make_model)(make_env()).learn(STEPS + MORE_STEPS, callback=saving)
     resumed = resume(min(tmp_path.iterdir()), make_env(), device="cpu")
+    assert resumed.env.get_attr("steps") == resumed.env.get_attr("_elapsed_steps") != [0]
     resumed.learn(STEPS + MORE_STEPS - resumed.num_timesteps, reset_num_timesteps=False)
-    assert_same(whole, resumed)
-
-
-def test_a_stock_algorithm(make_toy, tmp_path):
-    settings = {"n_steps": 8, "batch_size": 8, "policy_kwargs": {"net_arch": [8]}, "seed": 0, "device": "cpu"}
-    whole = PPO("MultiInputPolicy", make_toy(), **settings)
-    whole.learn(48, callback=DirectoryCheckpointCallback(24, tmp_path))
-    resumed = resume(min(tmp_path.iterdir()), make_toy(), device="cpu")
-    resumed.learn(48 - resumed.num_timesteps, reset_num_timesteps=False)
     assert_same(whole, resumed)
 
 

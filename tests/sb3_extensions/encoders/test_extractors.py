@@ -56,11 +56,6 @@ def sample(space, batch=3):
     return {key: stacked[key] / 255 if space[key].dtype == np.uint8 else stacked[key] for key in space}
 
 
-@pytest.fixture(autouse=True)
-def _seed():
-    th.manual_seed(0)
-
-
 def test_default_channels_are_the_papers():
     """128 pixels: 16 to 256 channels, 8 to 128 regular fields; a smaller image drops the widest halvings."""
     cnn = [layer.out_channels for layer in CnnEncoder(2, 128).layers if isinstance(layer, nn.Conv2d)]

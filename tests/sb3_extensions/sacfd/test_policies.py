@@ -23,11 +23,6 @@ SCENE = spaces.Dict(
 IN_HAND = spaces.Dict({**SCENE, "in_hand": spaces.Box(0, 0.4, (1, 8, 8), np.float32)})
 
 
-@pytest.fixture(autouse=True)
-def _seed():
-    th.manual_seed(0)
-
-
 def make_policy(action_dim=5, policy_class=EquivariantPolicy, extractor=SMALL, space=SCENE, **kwargs):
     """Biases differ from zero, so that a small network has no dead features."""
     action_space = spaces.Box(-1, 1, (action_dim,), np.float32)

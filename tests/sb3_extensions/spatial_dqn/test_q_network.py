@@ -69,11 +69,6 @@ def test_patches_are_in_hand_crops_that_rotate_with_the_image(images, size, angl
 SIDE = 12  # of the in-hand image
 
 
-@pytest.fixture(autouse=True)
-def _seed():
-    th.manual_seed(0)
-
-
 def make_view(size, batch=4):
     """Random images; every other gripper holds something."""
     image = th.rand(batch, 1, size, size)
