@@ -28,8 +28,6 @@ SIDES = (0.005, 0.3)
 """Range of the sides (m) of a bounding box, which detects a wrong unit."""
 MASSES = (1e-3, 5.0)
 """Range of the mass (kg) of an object, which detects a wrong unit."""
-CONCAVITY = 0.02
-"""Depth of a face in the convex hull, relative to its longest side, above which a part is concave."""
 CYLINDER_SIDES = 16
 """Corners of the polygon that approximates the circle of a cylinder."""
 GREY: Colour = (0.7, 0.7, 0.7, 1.0)
@@ -165,13 +163,13 @@ def convex_hull(points: ArrayLike) -> Mesh:
 
 
 def _is_concave(corners: FloatArray, hull: Mesh) -> bool:
-    """Return True if the centre of a triangle is clearly inside the convex hull of all corners."""
+    """Return True if the centre of a triangle is deeper in the hull of all corners than 2 % of its length."""
     centres = corners.reshape(-1, 3, 3).mean(axis=1)
     depths = np.full(len(centres), np.inf)
     for a, b, c in hull.vertices[hull.faces]:
         normal = np.cross(b - a, c - a)
         depths = np.minimum(depths, (a - centres) @ (normal / np.linalg.norm(normal)))
-    return bool(depths.max() > CONCAVITY * np.ptp(hull.vertices, axis=0).max())
+    return bool(depths.max() > 0.02 * np.ptp(hull.vertices, axis=0).max())
 
 
 def _hulls(path: Path, notes: Notes, scale: Vector = (1.0, 1.0, 1.0), pose: Pose = ORIGIN) -> list[Piece]:
@@ -236,6 +234,4 @@ def _colour(root: Element) -> Colour:
     if not colours:
         return GREY
     red, green, blue, alpha = numbers_of(colours[0], "rgba", 4)
-    if not all(0.0 <= value <= 1.0 for value in (red, green, blue, alpha)):
-        raise ValueError(f"rgba of <color> must be from 0 to 1, got {colours[0].get('rgba')!r}")
     return (red, green, blue, alpha)

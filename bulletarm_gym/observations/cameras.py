@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from bulletarm_gym.config import EnvConfig, ParameterError
 from bulletarm_gym.geometry import FloatArray, Pose, Vector
+from bulletarm_gym.geometry.poses import scaled
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.simulation import Camera, World
 from bulletarm_gym.simulation.camera import Keyboard, draw_segments, look
@@ -24,10 +25,6 @@ OVERVIEW = ((0.95, -0.95, 0.95), (-0.18, 0.0, 0.33))
 """Position and target (m) of the camera of ``render()``, relative to the centre of a default workspace."""
 PIXELS = 240
 """Default pixels a side of close-ups."""
-RECORDING_STEPS = 48
-"""Number of simulation steps (0.2 s) between two images of a video."""
-MARK_REACH = 0.04
-"""Distance (m) from a mark to the ends of its horizontal line."""
 SIZES = (0.3, 0.4)
 """Sides (m) of the default workspaces. Camera distances scale with smaller and larger ones."""
 REACHES = (0.45, 0.65)
@@ -94,7 +91,7 @@ def viewpoint(scene: Scene, eye: Vector, target: Vector, scale: float | None = N
     (x, y), base = scene.config.centre, scene.robot.model.base
     frame = Pose.planar(x, y, 0.0, math.atan2(y - base.y, x - base.x))
     factor = _beyond(scene.config.workspace_size, SIZES) if scale is None else scale
-    position, centre = (frame.transform((factor * x, factor * y, factor * z)) for x, y, z in (eye, target))
+    position, centre = (frame.transform(scaled(point, factor)) for point in (eye, target))
     return position, centre
 
 
@@ -155,14 +152,14 @@ class Viewer:
 
     @contextmanager
     def record_images(self, render: Callable[[], Any]) -> Iterator[list[Any]]:
-        """Collect images of the simulation inside the context, in the growing list that it yields."""
+        """Collect an image every 0.2 s of the simulation in the growing list that the context yields."""
         images: list[Any] = []
         count = itertools.count(1)
 
         def recorded(step: Callable[..., Any]) -> Callable[..., Any]:
             def step_and_render() -> None:
                 step()
-                if next(count) % RECORDING_STEPS == 0:
+                if next(count) % 48 == 0:
                     images.append(render())
 
             return step_and_render
@@ -193,9 +190,6 @@ class Viewer:
     def mark(self, position: Vector, yaw: float = 0.0) -> None:
         """Draw a target position (m, world) and yaw (rad) of the fingertips in the window."""
         x, y, z = position
-        right, ahead = MARK_REACH * math.cos(yaw), MARK_REACH * math.sin(yaw)
-        lines = [
-            (position, (x, y, z + 0.3)),
-            ((x - right, y - ahead, z), (x + right, y + ahead, z)),
-        ]
+        right, ahead = 0.04 * math.cos(yaw), 0.04 * math.sin(yaw)
+        lines = [(position, (x, y, z + 0.3)), ((x - right, y - ahead, z), (x + right, y + ahead, z))]
         self._mark = draw_segments(self._scene.world, lines, self._mark)

@@ -25,10 +25,6 @@ from bulletarm_gym.robots.editing import (
 )
 from bulletarm_gym.simulation.urdf import add_joint, find
 
-FINGER_MASS = 0.05
-"""Mass (kg) of a finger of a :class:`ParallelJaw`."""
-LENGTHS = {"finger": 3, "palm": 3, "shoulder": 2}
-"""Parameters with several lengths, and their number."""
 JOINTS = instances(str, "names of joints", can_be_empty=False)
 """Check of names of joints."""
 
@@ -60,7 +56,8 @@ class Gripper:
     shoulder: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        lengths = {name: numbers("non-negative", count) for name, count in LENGTHS.items()}
+        counts = {"finger": 3, "palm": 3, "shoulder": 2}
+        lengths = {name: numbers("non-negative", count) for name, count in counts.items()}
         names = rule("a tuple of the names of two joints", lambda pair: len(pair) == 2, JOINTS)
         one = dict.fromkeys(("stroke", "force", "speed", "friction"), numbers("positive"))
         check_fields(self, {**one, **lengths, "joints": names})
@@ -84,6 +81,8 @@ class Gripper:
 @dataclass(frozen=True, kw_only=True)
 class ParallelJaw(Gripper):
     """A gripper of primitives for the flange of any arm. The flange's z axis points along the approach.
+
+    The mass of a finger is 0.05 kg.
 
     :param palm: side lengths (m) of the box that carries the fingers, which is part of the model
     :param colour: colour of the fingers
@@ -129,7 +128,7 @@ class ParallelJaw(Gripper):
         pad = box(self.finger, (thickness / 2.0, 0.0, length / 2.0), self.colour)
         for joint_name, yaw in zip(self.joints, (0.0, math.pi), strict=True):
             finger, mount = joint_name.removesuffix("_joint"), Pose.planar(0.0, 0.0, self.palm[2], yaw)
-            add_link(root, finger, FINGER_MASS, (pad, *self.trim))
+            add_link(root, finger, 0.05, (pad, *self.trim))
             ends, pose, axis = (link, finger), flange.compose(mount), (1.0, 0.0, 0.0)
             add_joint(root, "prismatic", joint_name, ends, pose, axis, (0.0, self.stroke / 2.0))
         return root

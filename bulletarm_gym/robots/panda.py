@@ -9,10 +9,6 @@ from bulletarm_gym.robots.gripper import Gripper
 from bulletarm_gym.robots.model import RobotModel
 from bulletarm_gym.simulation.urdf import find, load_model
 
-FINGERTIPS = 0.107 + 0.0584 + 0.0538
-"""Distance (m) from the last link's origin to the fingertips: flange, finger mount, and finger mesh."""
-GRIPPER_YAW = -math.pi / 4.0
-"""Rotation (rad) of the gripper about the flange."""
 FINGERS = ("panda_leftfinger", "panda_rightfinger")
 PAD = box((0.0175, 0.0143, 0.0358), (0.0, 0.00715, 0.0359), LIGHT)
 """Box around the pad in the mesh of the left finger. Its y axis points outwards, its z axis to the tip."""
@@ -44,8 +40,8 @@ PANDA = RobotModel(
     name="panda",
     load=_load,
     joints=JOINTS,
-    # The fingers open along the gripper's y axis.
-    tool=euler_pose((0.0, 0.0, FINGERTIPS), (math.pi, 0.0, GRIPPER_YAW + math.pi / 2.0)),
+    # Flange, finger mount and finger mesh. The gripper is rotated by -pi/4 and opens along its y axis.
+    tool=euler_pose((0.0, 0.0, 0.107 + 0.0584 + 0.0538), (math.pi, 0.0, math.pi / 4.0)),
     gripper=Gripper(
         joints=("panda_finger_joint1", "panda_finger_joint2"),
         stroke=0.08,

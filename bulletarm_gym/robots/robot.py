@@ -28,12 +28,8 @@ CONTACT_STEPS = 48
 """The number for motions in contact: friction keeps pushed blocks at a gripper that brakes by 3 m/s^2."""
 LEVEL_TILT = 0.03
 """Maximum tilt (rad) of a gripper that points down. Grasped objects are never exactly level."""
-LINE_STOPS = 4
-"""Number of intermediate poses of a motion with a tilted gripper."""
 SAMPLE_DISTANCE = 0.008
 """Distance (m) between the poses in the collision test of a path."""
-OPENING_SAMPLES = 4
-"""Number of intervals in the collision test of the fingers' path."""
 OPENING_TOLERANCE = 5e-4
 """Difference of openings (m) below which the fingers do not move, and below which they hold nothing."""
 MIN_SLIDE = 2e-3
@@ -179,10 +175,10 @@ class Robot(CollidingArm):
         return max(round(steps * self.world.physics.pace), least), rise
 
     def _line(self, start: Pose, end: Pose) -> list[tuple[float, ...]]:
-        """Return intermediate joint positions (rad) that keep the tool on the line between two poses."""
+        """Return up to four joint positions (rad) that keep the tool on the line between two poses."""
         if end.tilt < LEVEL_TILT and self._is_straight(end, self.inverse_kinematics(end)):
             return []  # the joint motion deviates by some millimetres, otherwise by centimetres
-        shares = np.linspace(0.0, 1.0, LINE_STOPS + 2)[1:-1].tolist()
+        shares = np.linspace(0.0, 1.0, 6)[1:-1].tolist()
         poses = [interpolate(start, end, share) for share in shares]
         return [self.inverse_kinematics(pose) for pose in poses if self.reaches(pose)]
 
@@ -305,6 +301,6 @@ class Robot(CollidingArm):
         if not self._can_skip_simulation:
             return False
         near = self._bodies_above(self.model.gripper.lowest(self.pose) - CLEAR_ABOVE)
-        openings = np.linspace(self.opening, command, OPENING_SAMPLES + 1).tolist()
+        openings = np.linspace(self.opening, command, 5).tolist()
         joints = (self._fingers.moved(self.world, [opening / 2.0] * 2) for opening in openings)
         return self._is_free(joints, near)

@@ -11,12 +11,8 @@ from bulletarm_gym.robots.gripper import Gripper
 from bulletarm_gym.simulation import urdf
 
 ROTATING, SLIDING = ("revolute", "continuous"), ("prismatic",)
-OPPOSITE = -0.99
-"""Maximum cosine between the opening directions of the two fingers."""
 LIMIT_TOLERANCE = 1e-4
 """Tolerance (m) of the lower and upper limits of a finger."""
-ALIGNED = 0.8
-"""Minimum cosine between the opening direction of the fingers and the x axis of the tool frame."""
 SHAPES = {"box", "cylinder", "sphere", "capsule", "mesh"}
 """Elements of a ``<geometry>`` that Bullet reads for a robot."""
 
@@ -154,8 +150,8 @@ def _check_fingers(fingers: Sequence[Element], gripper: Gripper, tool: Pose) -> 
         got = f"{finger.get('name')!r} from {lower:g} to {upper:g} m. Use on_slides() or another stroke."
         _require(is_wide, f"gripper.joints must {must}, got {got}")
     one, other = (rotate(urdf.frame_of(finger).orientation, urdf.axis_of(finger)) for finger in fingers)
-    is_opposite = float(np.dot(one, other)) < OPPOSITE
+    is_opposite = float(np.dot(one, other)) < -0.99
     _require(is_opposite, f"gripper.joints must open in opposite directions, got {gripper.joints}")
     cosine = abs(float(np.dot(rotate(tool.orientation, (1.0, 0.0, 0.0)), one)))
     angle = f"{math.degrees(math.acos(min(cosine, 1.0))):.0f} degrees"
-    _require(cosine > ALIGNED, f"tool must have x along the opening direction of the fingers, got {angle}")
+    _require(cosine > 0.8, f"tool must have x along the opening direction of the fingers, got {angle}")

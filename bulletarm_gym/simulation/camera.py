@@ -14,10 +14,6 @@ from bulletarm_gym.simulation.world import World
 
 LIGHT = (0.6, -0.9, 1.6)
 """Direction to the light (world)."""
-VERTICAL = 1e-3
-"""Slope from the vertical (m per metre) below which the optical axis is vertical."""
-OPENGL_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
-"""Transformation (4, 4) from the camera frame to that of OpenGL: x right, y up, z backward."""
 
 Measure = Callable[..., Any]
 """Function of distances (height, width; m) and a camera that returns the measured distances."""
@@ -103,10 +99,11 @@ class Camera:
 
     @property
     def _up(self) -> Vector:
+        """Upward direction, by default -x if the optical axis is vertical within 1 mm per metre."""
         if self.up is not None:
             return self.up
         across = math.hypot(self.eye[0] - self.target[0], self.eye[1] - self.target[1])
-        return (0.0, 0.0, 1.0) if across > VERTICAL * abs(self.eye[2] - self.target[2]) else (-1.0, 0.0, 0.0)
+        return (0.0, 0.0, 1.0) if across > 1e-3 * abs(self.eye[2] - self.target[2]) else (-1.0, 0.0, 0.0)
 
     def _render(
         self, world: World, shadow: bool = False
@@ -121,7 +118,8 @@ class Camera:
         projection[9] += 1.0 / self.height
         view, light = client.computeViewMatrix(self.eye, self.target, self._up), {}
         if optics != NOMINAL:
-            view = (OPENGL_AXES @ optics.camera_error @ self.extrinsics).T.ravel().tolist()
+            to_opengl = np.diag([1.0, -1.0, -1.0, 1.0])  # x right, y up, z backward
+            view = (to_opengl @ optics.camera_error @ self.extrinsics).T.ravel().tolist()
             light = {"lightColor": (optics.brightness,) * 3}
         _, _, pixels, buffer, shown = client.getCameraImage(
             self.width,

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from operator import itemgetter
 
 import numpy as np
@@ -41,59 +41,48 @@ FINGER_TOLERANCE = 2e-4
 """Distance (m) from the goal at which a finger has arrived."""
 FINGER_LIMIT = 60
 """Maximum number of simulation steps of a gripper motion."""
-GEAR_FORCE = 200.0
-"""Maximum force (N) that keeps the positions of the fingers equal, well above the gripper's force."""
-SPINNING_FRICTION = 0.1
-"""Friction coefficient of the pads against rotation about the contact normal (the Panda in pybullet_data)."""
 
 
 @dataclass(frozen=True)
 class JointGroup:
     """Joints of a body that move together.
 
-    :param slots: indices among the body's movable joints
+    :param joints: their indices, in the body and in Bullet
     :param forces: maximum force (N) or torque (N m) of each joint
     """
 
     body: Body
-    slots: tuple[int, ...]
+    joints: tuple[int, ...]
     forces: tuple[float, ...]
-
-    @cached_property
-    def joints(self) -> list[int]:
-        """Indices in Bullet."""
-        return [self.body.joints[slot] for slot in self.slots]
 
     def positions(self, world: World) -> tuple[float, ...]:
         """Return the joint positions in the state of the world."""
-        joints = world.joints[self.body.index]
-        return tuple([joints[slot] for slot in self.slots])
+        positions = world.joints[self.body.index]
+        return tuple([positions[joint] for joint in self.joints])
 
     def moved(self, world: World, positions: Sequence[float]) -> list[float]:
         """Return the positions of all joints of the body, with other positions of these joints."""
-        joints = list(world.joints[self.body.index])
-        for slot, position in zip(self.slots, positions, strict=True):
-            joints[slot] = position
-        return joints
+        all_positions = list(world.joints[self.body.index])
+        for joint, position in zip(self.joints, positions, strict=True):
+            all_positions[joint] = position
+        return all_positions
 
 
 def add_gear_constraint(world: World, fingers: JointGroup, friction: float) -> None:
     """Keep the positions of two fingers equal, and set the friction of their pads.
 
-    Friction anchors restore the contact points on curved paths. Spinning friction stops an object from
-    rotating about the line between the pads.
+    Friction anchors restore the contact points on curved paths. Spinning friction, 0.1 as of the Panda in
+    pybullet_data, stops an object from rotating about the line between the pads. The force that keeps the
+    positions equal is well above the gripper's.
 
     :param friction: lateral friction coefficient of the pads
     """
     client, body, (left, right) = world.client, fingers.body.id, fingers.joints
     for joint in (left, right):
-        client.changeDynamics(
-            body, joint, lateralFriction=friction, spinningFriction=SPINNING_FRICTION, frictionAnchor=1
-        )
-    gear = client.createConstraint(
-        body, left, body, right, client.JOINT_GEAR, (1, 0, 0), (0, 0, 0), (0, 0, 0)
-    )
-    client.changeConstraint(gear, gearRatio=-1, erp=0.2, maxForce=GEAR_FORCE)
+        client.changeDynamics(body, joint, lateralFriction=friction, spinningFriction=0.1, frictionAnchor=1)
+    ends, origin = (body, left, body, right), (0, 0, 0)
+    gear = client.createConstraint(*ends, client.JOINT_GEAR, (1, 0, 0), origin, origin)
+    client.changeConstraint(gear, gearRatio=-1, erp=0.2, maxForce=200.0)
 
 
 @lru_cache(maxsize=256)
@@ -116,7 +105,7 @@ def interpolate_path(stops: Sequence[Sequence[float]], shares: FloatArray) -> Fl
 
 def hold(world: World, group: JointGroup, positions: Sequence[float]) -> None:
     """Set the position targets of motors."""
-    gains = [1.0] * len(group.slots)
+    gains = [1.0] * len(group.joints)
     world.client.setJointMotorControlArray(
         group.body.id,
         group.joints,

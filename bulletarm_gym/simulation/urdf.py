@@ -1,7 +1,7 @@
 """Reading and writing of URDF elements."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from xml.etree import ElementTree
@@ -12,9 +12,6 @@ from scipy.spatial.transform import Rotation
 
 from bulletarm_gym.geometry import Pose, Vector, euler_angles, euler_pose
 from bulletarm_gym.simulation.shapes import check_mesh
-
-PACKAGE, FILE = "package://", "file://"
-"""Prefixes of file names in ROS: of a file in a package, and of any file."""
 
 
 def _parse_xml(path: Path) -> Element:
@@ -80,8 +77,8 @@ def mesh_path(name: str, folder: Path) -> Path:
 
     As in PyBullet, the package of a ``package://`` path is a folder above the URDF or next to such a folder.
     """
-    for place in [folder, *folder.parents] if name.startswith(PACKAGE) else [folder]:
-        found = place / name.removeprefix(PACKAGE).removeprefix(FILE)
+    for place in [folder, *folder.parents] if name.startswith("package://") else [folder]:
+        found = place / name.removeprefix("package://").removeprefix("file://")
         if found.is_file():
             return found
     raise ValueError(f"the mesh {name!r} of a model in {folder} is not there")
@@ -204,18 +201,20 @@ def put_origin(element: Element, pose: Pose) -> None:
     put(element, "origin", xyz=text_of(pose.position), rpy=text_of(euler_angles(pose.orientation)))
 
 
-def add_geometry(link: Element, tag: str, shape: str, pose: Pose, **attributes: str) -> Element:
-    """Add a ``"visual"`` or ``"collision"`` element with a shape at a pose of the link and return it."""
+def add_geometry(
+    link: Element, tag: str, shape: str, size: Mapping[str, str], pose: Pose, colour: Sequence[float] = ()
+) -> None:
+    """Add a ``"visual"`` or ``"collision"`` element with a shape at a pose of the link.
+
+    :param size: attributes of the shape
+    :param colour: red, green, blue and opacity of a visual element
+    """
     element = SubElement(link, tag)
     put_origin(element, pose)
-    put(SubElement(element, "geometry"), shape, **attributes)
-    return element
-
-
-def add_material(visual: Element, colour: Sequence[float]) -> None:
-    """Add a material, named after its red, green, blue and opacity, to a visual element."""
-    material = SubElement(visual, "material", name="colour " + text_of(colour))
-    put(material, "color", rgba=text_of(colour))
+    put(SubElement(element, "geometry"), shape, **size)
+    if colour:
+        material = SubElement(element, "material", name="colour " + text_of(colour))
+        put(material, "color", rgba=text_of(colour))
 
 
 def add_inertial(link: Element, origin: Pose, mass: float, tensor: Sequence[Sequence[float]]) -> None:
@@ -235,8 +234,8 @@ def add_joint(
     origin: Pose,
     axis: Vector,
     limits: tuple[float, float] | None = None,
-) -> Element:
-    """Add a joint between a parent and a child link, with its limits (rad or m), and return it."""
+) -> None:
+    """Add a joint between a parent and a child link, with its limits (rad or m)."""
     joint = SubElement(root, "joint", name=name, type=kind)
     put(joint, "parent", link=links[0])
     put(joint, "child", link=links[1])
@@ -245,4 +244,3 @@ def add_joint(
     if limits is not None:
         bounds = {"lower": repr(limits[0]), "upper": repr(limits[1])}
         put(joint, "limit", **bounds, effort="100", velocity="10")  # motors have limits of their own
-    return joint
