@@ -1,5 +1,6 @@
 """Checks that environments work on this machine and how fast they are."""
 
+import itertools
 import os
 import time
 import timeit
@@ -12,7 +13,7 @@ import gymnasium
 import pybullet_data
 
 import bulletarm_gym  # noqa: F401 (registers the environments)
-from bulletarm_gym.check.machine import Finding, describe_machine, load_average, versions
+from bulletarm_gym.check.machine import Finding, describe_processor, versions
 from bulletarm_gym.geometry.compilation import MONITOR
 from bulletarm_gym.registry import ROBOTS
 from bulletarm_gym.simulation import has_display
@@ -49,8 +50,9 @@ def check_environments(seconds: float) -> Iterator[Finding]:
     """Yield the findings on the machine, the robots and, measured for some seconds each, the speed."""
     yield Finding("versions", ", ".join(f"{name} {version}" for name, version in versions().items()))
     advice = "the load average must be at most the number of cores. Trainings and this check are slower"
-    is_busy = load_average() > (os.cpu_count() or 1)
-    yield Finding("processor", describe_machine(), advice if is_busy else "")
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None  # not on Windows
+    value = describe_processor() + ("" if load is None else f", load average {load:.2f}")
+    yield Finding("processor", value, advice if load and load > (os.cpu_count() or 1) else "")
     threads = os.environ.get(THREADS)
     advice = f"export {THREADS}=1 before you run several trainings or worker processes at the same time"
     yield Finding("threads", f"{THREADS}={threads or 'not set'}", "" if threads else advice)
@@ -110,11 +112,9 @@ def speed(env_id: str, seconds: float, step_us: float) -> Finding:
     """
     with closing(gymnasium.make(env_id)) as env:
         play_episode(env, 0)  # compiles, fills caches
-        steps, duration, _ = play_episode(env, 1)
-        seed = 1
-        while duration < seconds:
-            seed += 1
-            more, longer, _ = play_episode(env, seed)
+        seeds, steps, duration = itertools.count(1), 0, 0.0
+        while steps == 0 or duration < seconds:
+            more, longer, _ = play_episode(env, next(seeds))
             steps, duration = steps + more, duration + longer
     ratio, limit = 1e6 * duration / steps / step_us, MAX_RATIO[env_id]
     value = (

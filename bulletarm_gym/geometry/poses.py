@@ -115,15 +115,9 @@ def yaw_quaternion(yaw: float) -> Quaternion:
 
 def euler_pose(position: Vector, angles: Vector) -> Pose:
     """Return a pose from fixed-axis x-y-z angles (rad): roll, pitch and yaw in URDF and Bullet."""
-    roll, pitch, yaw = (angle / 2.0 for angle in angles)
-    cr, sr, cp, sp, cy, sy = (f(a) for a in (roll, pitch, yaw) for f in (math.cos, math.sin))
-    orientation = (
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-        cr * cp * cy + sr * sp * sy,
-    )
-    return Pose(position, orientation)
+    (sr, cr), (sp, cp), _ = ((math.sin(angle / 2.0), math.cos(angle / 2.0)) for angle in angles)
+    tilt = multiply((0.0, sp, 0.0, cp), (sr, 0.0, 0.0, cr))
+    return Pose(position, multiply(yaw_quaternion(angles[2]), tilt))
 
 
 def euler_angles(q: Quaternion) -> Vector:
@@ -154,6 +148,12 @@ def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
         aw * bz + ax * by - ay * bx + az * bw,
         aw * bw - ax * bx - ay * by - az * bz,
     )
+
+
+def scaled(vector: Vector, factor: float) -> Vector:
+    """Return the product of a vector and a number."""
+    x, y, z = vector
+    return (x * factor, y * factor, z * factor)
 
 
 def rotate(q: Quaternion, v: Vector) -> Vector:

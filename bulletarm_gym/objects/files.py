@@ -236,6 +236,4 @@ def _colour(root: Element) -> Colour:
     if not colours:
         return GREY
     red, green, blue, alpha = numbers_of(colours[0], "rgba", 4)
-    if not all(0.0 <= value <= 1.0 for value in (red, green, blue, alpha)):
-        raise ValueError(f"rgba of <color> must be from 0 to 1, got {colours[0].get('rgba')!r}")
     return (red, green, blue, alpha)

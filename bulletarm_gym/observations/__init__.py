@@ -5,7 +5,6 @@ from bulletarm_gym.observations.observer import Observer
 from bulletarm_gym.observations.rasterizer import Window
 from bulletarm_gym.observations.sensor import Sensor, State
 from bulletarm_gym.observations.view import (
-    MAX_HEIGHT,
     ElevationMap,
     Frame,
     HeightRenderer,
@@ -15,7 +14,6 @@ from bulletarm_gym.observations.view import (
 )
 
 __all__ = [
-    "MAX_HEIGHT",
     "ElevationMap",
     "Frame",
     "HeightRenderer",

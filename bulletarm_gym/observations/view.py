@@ -26,10 +26,6 @@ MAX_HEIGHT = 0.4
 Heights = NDArray[np.float32]
 
 
-OVERLAY = {"rectangle": instance(Rectangle), "rise": numbers()}
-"""Checks of the fields of an overlay."""
-
-
 @dataclass(frozen=True)
 class Overlay:
     """Rectangle that the heightmap shows nearer to the camera than the surface below.
@@ -42,7 +38,7 @@ class Overlay:
     rise: float
 
     def __post_init__(self) -> None:
-        check_fields(self, OVERLAY)
+        check_fields(self, {"rectangle": instance(Rectangle), "rise": numbers()})
 
 
 @dataclass(frozen=True)

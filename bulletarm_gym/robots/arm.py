@@ -8,6 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 from bulletarm_gym.geometry import Pose, Vector, conjugate, interpolate, matrix, multiply, rotate
+from bulletarm_gym.geometry.poses import scaled
 from bulletarm_gym.robots.kinematics import POSITION_TOLERANCE
 from bulletarm_gym.robots.model import Dynamics, RobotModel
 from bulletarm_gym.simulation import Body, BodySpec, Contact, World
@@ -84,7 +85,7 @@ class Arm:
     def joint_velocities(self) -> tuple[float, ...]:
         """Velocities (rad/s) of the arm joints in the state, 0 between actions."""
         rates = self.world.joint_rates[self.body.index]
-        return tuple(rates[slot] for slot in self._arm.slots)
+        return tuple(rates[joint] for joint in self._arm.joints)
 
     @property
     def joint_torques(self) -> tuple[float, ...]:
@@ -271,7 +272,7 @@ class CollidingArm(Arm):
             for point in self.world.closest_points(mover, other)
         ]
         deepest = _deepest(points)
-        return None if deepest is None else _along(deepest, -deepest.distance - REMAINING_DEPTH)
+        return None if deepest is None else scaled(deepest.normal, -deepest.distance - REMAINING_DEPTH)
 
     def _push_out(self) -> bool:
         """Move the grasped object out of a finger; return True if it is too deep in neither finger."""
@@ -289,7 +290,7 @@ class CollidingArm(Arm):
         if deepest is None or not (pressed or -deepest.distance > MAX_HELD_DEPTH):
             return None
         # At most half of the depth, because the other finger is opposite.
-        return _along(deepest, max(MAX_DEPTH + deepest.distance, deepest.distance / 2.0))
+        return scaled(deepest.normal, max(MAX_DEPTH + deepest.distance, deepest.distance / 2.0))
 
     def _missing_opening(self) -> float:
         """Return the distance (m) by which the fingers must open so that no body is too deep in both."""
@@ -307,9 +308,3 @@ def _deepest(points: Sequence[Contact]) -> Contact | None:
     """Return the deepest point if it is too deep."""
     deepest = min(points, key=lambda point: point.distance, default=None)
     return None if deepest is None or -deepest.distance <= MAX_DEPTH else deepest
-
-
-def _along(point: Contact, shift: float) -> Vector:
-    """Return a shift (m) along the normal of a contact, out of the other body."""
-    x, y, z = point.normal
-    return (x * shift, y * shift, z * shift)

@@ -164,9 +164,9 @@ class Primitive:
         if self.kind == "box":
             size = {"size": urdf.text_of(self.extents)}
         if visible:
-            urdf.add_material(urdf.add_geometry(link, "visual", self.kind, pose, **size), (*self.colour, 1.0))
+            urdf.add_geometry(link, "visual", self.kind, size, pose, (*self.colour, 1.0))
         if self.solid:
-            urdf.add_geometry(link, "collision", self.kind, pose, **size)
+            urdf.add_geometry(link, "collision", self.kind, size, pose)
 
 
 def box(extents: Vector, centre: Vector, colour: RGB, tilt: float = 0.0, solid: bool = True) -> Primitive:

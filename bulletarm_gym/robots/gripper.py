@@ -27,8 +27,6 @@ from bulletarm_gym.simulation.urdf import add_joint, find
 
 FINGER_MASS = 0.05
 """Mass (kg) of a finger of a :class:`ParallelJaw`."""
-LENGTHS = {"finger": 3, "palm": 3, "shoulder": 2}
-"""Parameters with several lengths, and their number."""
 JOINTS = instances(str, "names of joints", can_be_empty=False)
 """Check of names of joints."""
 
@@ -60,7 +58,8 @@ class Gripper:
     shoulder: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        lengths = {name: numbers("non-negative", count) for name, count in LENGTHS.items()}
+        counts = {"finger": 3, "palm": 3, "shoulder": 2}
+        lengths = {name: numbers("non-negative", count) for name, count in counts.items()}
         names = rule("a tuple of the names of two joints", lambda pair: len(pair) == 2, JOINTS)
         one = dict.fromkeys(("stroke", "force", "speed", "friction"), numbers("positive"))
         check_fields(self, {**one, **lengths, "joints": names})

@@ -9,7 +9,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from bulletarm_gym.config_checks import Check, check_fields, function, instance, numbers
+from bulletarm_gym.config_checks import check_fields, function, instance, numbers
 from bulletarm_gym.geometry import FloatArray, Pose, matrix
 from bulletarm_gym.geometry.compilation import compiled
 from bulletarm_gym.geometry.poses import pose_check
@@ -26,15 +26,6 @@ PLINTH_RADIUS = 0.09
 """Radius (m) of the stand under an arm whose base is above the ground, outside the workspaces."""
 VERTICAL = 0.9
 """Minimum cosine between the vertical and the axis of a joint that rotates the gripper about the vertical."""
-FIELDS: dict[str, Check] = {
-    "name": instance(str),
-    "load": function,
-    "joints": JOINTS,
-    "tool": pose_check,
-    "gripper": instance(Gripper),
-    "base": pose_check,
-}
-"""Checks of the fields of a robot model that do not depend on the number of joints."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +56,8 @@ class RobotModel:
     force: float | tuple[float, ...]
 
     def __post_init__(self) -> None:
-        check_fields(self, FIELDS)
+        checks = {"name": instance(str), "load": function, "joints": JOINTS, "gripper": instance(Gripper)}
+        check_fields(self, {**checks, "tool": pose_check, "base": pose_check})
         several = len(self.joints) if np.iterable(self.force) else None
         posture, force = numbers("finite", len(self.joints)), numbers("positive", several)
         check_fields(self, {"posture": posture, "force": force})
@@ -194,7 +186,7 @@ class Dynamics:
     :param joints: indices of the chain's joints in Bullet
     """
 
-    def __init__(self, arm: Body, joints: list[int], chain: Chain) -> None:
+    def __init__(self, arm: Body, joints: Sequence[int], chain: Chain) -> None:
         moved = [arm.links[joint] for joint in joints]
         tip = {joints[-1]}
         for index, link in enumerate(arm.links):  # a link comes after its parent

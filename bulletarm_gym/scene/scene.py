@@ -3,7 +3,7 @@
 import math
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import wraps
 from typing import Any, TypeVar
 
@@ -198,7 +198,7 @@ class SceneObject:
         :raises ValueError: one of them is out of range
         :raises TypeError: an unknown property
         """
-        self._world.set_properties(self.body, self.properties.changed(**changes))
+        self._world.set_properties(self.body, replace(self.properties, **changes))
 
     @property
     def joints(self) -> tuple[float, ...]:
@@ -311,7 +311,7 @@ class Scene:
         :raises ValueError: one of them is out of range
         """
         for body in self.surface.bodies:
-            self.world.set_properties(body, self.world.get_properties(body).changed(**changes))
+            self.world.set_properties(body, replace(self.world.get_properties(body), **changes))
 
     def set_sampled(self, values: Mapping[str, float]) -> None:
         """Set the sampled values of an episode; :meth:`randomize` changes the properties of bodies."""
@@ -336,7 +336,7 @@ class Scene:
             colour = (*(before.colour[:3] + shift).clip(0.0, 1.0), before.colour[3])
             mass = values.get(f"{kind}_mass", 1.0) * before.mass
             friction = values.get(f"{kind}_friction", 1.0) * before.friction
-            world.set_properties(body, before.changed(mass=mass, friction=friction, colour=colour))
+            world.set_properties(body, replace(before, mass=mass, friction=friction, colour=colour))
 
     def begin(self) -> None:
         """Start a move from the canonical world."""

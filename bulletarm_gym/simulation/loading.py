@@ -157,11 +157,13 @@ def _add_link(root: Element, spec: BodySpec, folder: Path, is_free: bool) -> Non
     for number, piece in enumerate(spec.pieces):
         path = folder / f"{spec.name}_{number}.obj"
         path.write_text(wavefront([piece]))
-        urdf.add_material(urdf.add_geometry(link, "visual", "mesh", ORIGIN, filename=str(path)), spec.colour)
+        file = {"filename": str(path)}
+        urdf.add_geometry(link, "visual", "mesh", file, ORIGIN, spec.colour)
         if isinstance(piece.shape, Box):
-            urdf.add_geometry(link, "collision", "box", piece.pose, size=urdf.text_of(piece.shape.extents))
+            size = {"size": urdf.text_of(piece.shape.extents)}
+            urdf.add_geometry(link, "collision", "box", size, piece.pose)
         else:
-            urdf.add_geometry(link, "collision", "mesh", ORIGIN, filename=str(path))
+            urdf.add_geometry(link, "collision", "mesh", file, ORIGIN)
 
 
 def _collision_shape(client: Client, spec: BodySpec) -> int:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from operator import itemgetter
 
 import numpy as np
@@ -51,30 +51,25 @@ SPINNING_FRICTION = 0.1
 class JointGroup:
     """Joints of a body that move together.
 
-    :param slots: indices among the body's movable joints
+    :param joints: their indices, in the body and in Bullet
     :param forces: maximum force (N) or torque (N m) of each joint
     """
 
     body: Body
-    slots: tuple[int, ...]
+    joints: tuple[int, ...]
     forces: tuple[float, ...]
-
-    @cached_property
-    def joints(self) -> list[int]:
-        """Indices in Bullet."""
-        return [self.body.joints[slot] for slot in self.slots]
 
     def positions(self, world: World) -> tuple[float, ...]:
         """Return the joint positions in the state of the world."""
-        joints = world.joints[self.body.index]
-        return tuple([joints[slot] for slot in self.slots])
+        positions = world.joints[self.body.index]
+        return tuple([positions[joint] for joint in self.joints])
 
     def moved(self, world: World, positions: Sequence[float]) -> list[float]:
         """Return the positions of all joints of the body, with other positions of these joints."""
-        joints = list(world.joints[self.body.index])
-        for slot, position in zip(self.slots, positions, strict=True):
-            joints[slot] = position
-        return joints
+        all_positions = list(world.joints[self.body.index])
+        for joint, position in zip(self.joints, positions, strict=True):
+            all_positions[joint] = position
+        return all_positions
 
 
 def add_gear_constraint(world: World, fingers: JointGroup, friction: float) -> None:
@@ -90,9 +85,8 @@ def add_gear_constraint(world: World, fingers: JointGroup, friction: float) -> N
         client.changeDynamics(
             body, joint, lateralFriction=friction, spinningFriction=SPINNING_FRICTION, frictionAnchor=1
         )
-    gear = client.createConstraint(
-        body, left, body, right, client.JOINT_GEAR, (1, 0, 0), (0, 0, 0), (0, 0, 0)
-    )
+    ends, origin = (body, left, body, right), (0, 0, 0)
+    gear = client.createConstraint(*ends, client.JOINT_GEAR, (1, 0, 0), origin, origin)
     client.changeConstraint(gear, gearRatio=-1, erp=0.2, maxForce=GEAR_FORCE)
 
 
@@ -116,7 +110,7 @@ def interpolate_path(stops: Sequence[Sequence[float]], shares: FloatArray) -> Fl
 
 def hold(world: World, group: JointGroup, positions: Sequence[float]) -> None:
     """Set the position targets of motors."""
-    gains = [1.0] * len(group.slots)
+    gains = [1.0] * len(group.joints)
     world.client.setJointMotorControlArray(
         group.body.id,
         group.joints,

@@ -14,7 +14,7 @@ import numpy as np
 
 from bulletarm_gym.config_checks import Check, check_fields, colour, instance, instances, numbers, rule
 from bulletarm_gym.geometry import FloatArray, Mesh, Pose, Vector, join, mass_properties
-from bulletarm_gym.geometry.poses import UNIT_TOLERANCE, pose_check
+from bulletarm_gym.geometry.poses import UNIT_TOLERANCE, pose_check, scaled
 
 Colour: TypeAlias = tuple[float, float, float, float]
 """Red, green, blue and opacity, 0 to 1."""
@@ -71,20 +71,17 @@ class Piece:
 
     def scaled(self, factor: float) -> "Piece":
         """Return the piece of a body ``factor`` times as large."""
-        pose = self.pose._replace(position=_scaled(self.pose.position, factor))
+        pose = self.pose._replace(position=scaled(self.pose.position, factor))
         if isinstance(self.shape, Box):
-            return Piece(Box(_scaled(self.shape.extents, factor)), pose)
+            return Piece(Box(scaled(self.shape.extents, factor)), pose)
         mesh = self.shape.mesh
         return Piece(Convex(Mesh.of(mesh.vertices * factor, mesh.faces)), pose)
 
 
 PIECES = instances(Piece, "pieces")
 """Check of the pieces of a body."""
-JOINT: dict[str, Check] = {
-    "axis": rule("a unit vector", lambda v: abs(math.hypot(*v) - 1.0) < UNIT_TOLERANCE, numbers(count=3)),
-    "limits": rule("[low, high] in ascending order", lambda ends: ends[0] <= ends[1], numbers(count=2)),
-}
-"""Checks of the fields of a moving part that describe its joint."""
+AXIS = rule("a unit vector", lambda v: abs(math.hypot(*v) - 1.0) < UNIT_TOLERANCE, numbers(count=3))
+LIMITS = rule("[low, high] in ascending order", lambda ends: ends[0] <= ends[1], numbers(count=2))
 FRICTIONS = ("friction", "rolling_friction", "spinning_friction")
 """Names of the friction coefficients of a body."""
 
@@ -116,8 +113,8 @@ class MovingPart:
     colour: Colour = RED
 
     def __post_init__(self) -> None:
-        fields = {"pieces": PIECES, **amounts("mass", "friction", "resistance"), **JOINT, "colour": colour}
-        check_fields(self, fields)
+        checks = {"pieces": PIECES, "axis": AXIS, "limits": LIMITS, "colour": colour}
+        check_fields(self, {**checks, **amounts("mass", "friction", "resistance")})
 
     @property
     def mesh(self) -> Mesh:
@@ -131,7 +128,7 @@ class Slide(MovingPart):
 
     def moved(self, distance: float) -> Pose:
         """Return the pose in the body's frame of the body's origin, displaced with the part (m)."""
-        return Pose(_scaled(self.axis, distance))
+        return Pose(scaled(self.axis, distance))
 
 
 @dataclass(frozen=True)
@@ -149,8 +146,8 @@ class Hinge(MovingPart):
 
     def moved(self, angle: float) -> Pose:
         """Return the pose in the body's frame of the body's origin, rotated with the part (rad)."""
-        x, y, z = (part * math.sin(angle / 2.0) for part in self.axis)
-        rotated = Pose(self.pivot, (x, y, z, math.cos(angle / 2.0)))
+        rotation = (*scaled(self.axis, math.sin(angle / 2.0)), math.cos(angle / 2.0))
+        rotated = Pose(self.pivot, rotation)
         return rotated.compose(Pose(self.pivot).inverse())
 
 
@@ -226,11 +223,6 @@ class BodySpec:
             factor = self.mass / 12.0
             return ORIGIN, (factor * (y + z), factor * (x + z), factor * (x + y))
         return mass_properties([piece.mesh for piece in self.pieces], self.mass)
-
-
-def _scaled(vector: Vector, factor: float) -> Vector:
-    x, y, z = vector
-    return (x * factor, y * factor, z * factor)
 
 
 def wavefront(pieces: Sequence[Piece]) -> str:

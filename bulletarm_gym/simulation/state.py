@@ -1,9 +1,9 @@
 """Bodies of a world, their physical properties, and the state of the world in plain numbers."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -147,16 +147,6 @@ class Properties:
         """Return the properties that a body is loaded with."""
         frictions = (spec.friction, spec.rolling_friction, spec.spinning_friction)
         return cls(spec.mass, *frictions, 0.0, spec.colour)
-
-    def changed(self, **changes: Any) -> "Properties":
-        """Return the properties with some of them changed, or raise TypeError if one is unknown."""
-        return replace(self, **changes)
-
-    def check(self, spec: BodySpec) -> None:
-        """Raise ValueError if the mass is out of range for a body."""
-        if (spec.mass > 0.0) != (self.mass > 0.0):
-            must = "a positive number" if spec.mass > 0.0 else "0 for a fixed body"
-            raise ValueError(f"mass must be {must}, got {self.mass!r}")
 
 
 @dataclass(frozen=True)

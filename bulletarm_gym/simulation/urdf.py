@@ -1,7 +1,7 @@
 """Reading and writing of URDF elements."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from xml.etree import ElementTree
@@ -204,18 +204,20 @@ def put_origin(element: Element, pose: Pose) -> None:
     put(element, "origin", xyz=text_of(pose.position), rpy=text_of(euler_angles(pose.orientation)))
 
 
-def add_geometry(link: Element, tag: str, shape: str, pose: Pose, **attributes: str) -> Element:
-    """Add a ``"visual"`` or ``"collision"`` element with a shape at a pose of the link and return it."""
+def add_geometry(
+    link: Element, tag: str, shape: str, size: Mapping[str, str], pose: Pose, colour: Sequence[float] = ()
+) -> None:
+    """Add a ``"visual"`` or ``"collision"`` element with a shape at a pose of the link.
+
+    :param size: attributes of the shape
+    :param colour: red, green, blue and opacity of a visual element
+    """
     element = SubElement(link, tag)
     put_origin(element, pose)
-    put(SubElement(element, "geometry"), shape, **attributes)
-    return element
-
-
-def add_material(visual: Element, colour: Sequence[float]) -> None:
-    """Add a material, named after its red, green, blue and opacity, to a visual element."""
-    material = SubElement(visual, "material", name="colour " + text_of(colour))
-    put(material, "color", rgba=text_of(colour))
+    put(SubElement(element, "geometry"), shape, **size)
+    if colour:
+        material = SubElement(element, "material", name="colour " + text_of(colour))
+        put(material, "color", rgba=text_of(colour))
 
 
 def add_inertial(link: Element, origin: Pose, mass: float, tensor: Sequence[Sequence[float]]) -> None:
@@ -235,8 +237,8 @@ def add_joint(
     origin: Pose,
     axis: Vector,
     limits: tuple[float, float] | None = None,
-) -> Element:
-    """Add a joint between a parent and a child link, with its limits (rad or m), and return it."""
+) -> None:
+    """Add a joint between a parent and a child link, with its limits (rad or m)."""
     joint = SubElement(root, "joint", name=name, type=kind)
     put(joint, "parent", link=links[0])
     put(joint, "child", link=links[1])
@@ -245,4 +247,3 @@ def add_joint(
     if limits is not None:
         bounds = {"lower": repr(limits[0]), "upper": repr(limits[1])}
         put(joint, "limit", **bounds, effort="100", velocity="10")  # motors have limits of their own
-    return joint

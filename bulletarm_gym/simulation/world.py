@@ -191,7 +191,9 @@ class World:
 
     def set_properties(self, body: Body, properties: Properties) -> None:
         """Set the properties of a body until the next reset, or raise ValueError."""
-        properties.check(body.spec)
+        if (body.spec.mass > 0.0) != (properties.mass > 0.0):
+            must = "a positive number" if body.spec.mass > 0.0 else "0 for a fixed body"
+            raise ValueError(f"mass must be {must}, got {properties.mass!r}")
         if properties == self.get_properties(body):
             return
         set_dynamics(self.client, body.id, body.spec, properties)

@@ -145,7 +145,7 @@ CYLINDER = '<collision><geometry><cylinder radius="-0.01" length="0.1"/></geomet
         ("a.urdf", '<inertial><mass value="0"/></inertial>', "mass must be .* got 0"),
         ("a.urdf", '<contact><lateral_friction value="-1"/></contact>', "friction of .* got -1"),
         ("a.urdf", "<inertial><mass/></inertial>", "value of <mass> .* got ''"),
-        ("a.urdf", COLOURED, "rgba of <color> .* got '255 0 0 255'"),
+        ("a.urdf", COLOURED, r"colour of .* got \(255\.0, 0\.0, 0\.0, 255\.0\)"),
         ("a.urdf", "<collision><geometry><capsule/></geometry></collision>", "got capsule"),
         ("a.urdf", CYLINDER, "radius must be a positive number, got -0.01"),
         ("a.txt", "", "no .obj, no .stl and no .urdf"),

@@ -225,7 +225,7 @@ def test_gripper_holds_a_cube_until_it_opens(make, model):
 
 def test_torques_agree_with_the_simulator(armed, robot):
     """Bullet's inverse dynamics counts the fingers where they are, ours at the tool."""
-    world, slots = armed.scene.world, list(robot._arm.slots)
+    world, slots = armed.scene.world, list(robot._arm.joints)
     rng, count = np.random.default_rng(0), len(robot.body.joints)
     for _ in range(10):
         positions, rates, accelerations = np.array(world.joints[robot.body.index]), *np.zeros((2, count))
