@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 from numpy.typing import ArrayLike, NDArray
 
-from bulletarm_gym.config import CLOSE_LOOP, PROGRESS, Context, EnvConfig
+from bulletarm_gym.config import CLOSE_LOOP, PROGRESS, Context, EnvConfig, with_effect
 from bulletarm_gym.config_checks import check_argument, instance, instances, mapping, optional
 from bulletarm_gym.control import Control, GraspParams, RobotInterface
 from bulletarm_gym.episode import AFTER_ACTION, ARRANGEMENT, PLAN, Episode
@@ -91,7 +91,8 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         check_argument("defaults", defaults, optional(mapping))
         self.config = EnvConfig.of(context, parameters, defaults)
         default = EnvConfig.of(context, {}, defaults)
-        self._changed = self.config.changed(default, "scene")
+        names = with_effect("scene")
+        self._changed = [name for name in names if getattr(self.config, name) != getattr(default, name)]
         self.recipe: dict[str, Any] = {"task": task, "control": control, "surface": surface}
         self.recipe |= {"defaults": dict(defaults)} if defaults else {}
         self.render_mode = self.config.render_mode

@@ -109,10 +109,8 @@ def _follow_plan(env: ManipulationEnv, seed: int, noise: float) -> Episode | Non
 def _expert_actions(env: ManipulationEnv, rng: np.random.Generator, noise: float) -> Iterator[Action]:
     while True:
         action = env.expert_action()
-        if noise:
-            noisy = action + noise * rng.standard_normal(action.shape)
-            action = noisy.clip(-1.0, 1.0).astype(np.float32)
-        yield action
+        noisy = action + noise * rng.standard_normal(action.shape)
+        yield noisy.clip(-1.0, 1.0).astype(np.float32)
 
 
 def _rebuild(env: ManipulationEnv, seed: int, noise: float) -> Episode | None:

@@ -100,7 +100,7 @@ def grasp(
     rotation = wrap_angle(goal.yaw - tool.yaw)
     apart = max(abs(goal.x - tool.x), abs(goal.y - tool.y))
     aligned = _is_aligned(goal, tool, rotation, near)
-    moves = max(_moves(apart, scene.max_translation), _moves(abs(rotation), scene.max_rotation))
+    moves = math.ceil(max(apart / scene.max_translation, abs(rotation) / scene.max_rotation) - 1e-6)
     above = tool.z - scene.max_translation * moves >= top - 1e-3
     ready = scene.robot.opening_ratio > 0.9 * opening
     hover = top + HOVER
@@ -118,10 +118,6 @@ def _is_aligned(goal: Pose, tool: Pose, rotation: float, near: float) -> bool:
     near = ALIGNED if tool.z < goal.z + 0.01 else near  # contacts push the fingers
     apart = planar_distance(goal.position, tool.position)
     return apart <= near and abs(rotation) <= ALIGNED_YAW * near / ALIGNED
-
-
-def _moves(distance: float, largest: float) -> int:
-    return math.ceil(distance / largest - 1e-6)
 
 
 def grasp_object(scene: Scene, obj: SceneObject, yaw: float, symmetry: float) -> Iterator[Waypoint]:

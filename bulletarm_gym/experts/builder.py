@@ -12,7 +12,7 @@ from bulletarm_gym.experts.approach import RELEASE, grasp_object, place_object, 
 from bulletarm_gym.experts.blueprint import BUILD_TOLERANCE, Blocks, Blueprint, Placed, Position, is_long
 from bulletarm_gym.geometry import Footprint, PlacementError, Pose, planar_distance, wrap_angle
 from bulletarm_gym.scene import Scene, SceneObject, predicates, sampling
-from bulletarm_gym.scene.predicates import direction
+from bulletarm_gym.scene.predicates import direction, heading
 from bulletarm_gym.scene.sampling import footprint
 from bulletarm_gym.surfaces.surface import Point
 
@@ -184,7 +184,10 @@ class Builder:
             return self._next_base or self._site(self._held) or self._aside(self._held)
         below = [placed[other] for other in position.below]
         line = [placed[other] for other in self._blueprint.line(position)]
-        yaw = direction(line[0], line[-1]) if line else _long_axis(below[0])
+        if line:
+            yaw = direction(line[0], line[-1])
+        else:  # along the block below if it is long, else along a side
+            yaw = heading(below[0]) if is_long(below[0]) else side_yaw(below[0].pose) + math.pi / 2.0
         row = self._blueprint.layers[position.layer]
         count = len(row) if len(below) == 1 and row[0].below == row[-1].below else 1
         offset = (position.place - (count - 1) / 2.0) * APART * self._blueprint.side if count > 1 else 0.0
@@ -229,19 +232,19 @@ class Builder:
         first, last = footprint(base[0]), footprint(base[-1])
         width, length, _ = pick_place.resting_box(block).sides
         half = length / 2.0
-        for heading in self._headings(base):
-            along = np.array([math.cos(heading), math.sin(heading)])
+        for yaw in self._yaws_along(base):
+            along = np.array([math.cos(yaw), math.sin(yaw)])
             reach = float(((last.points - last.centre) @ along).max())
             for gap in self._blueprint.gaps(position, 2.0 * (reach + half), self._blocks):
                 x, y = (float(value) for value in last.centre + (reach + gap + half) * along)
-                frame = Pose.planar(x, y, self._scene.surface.level, heading - math.pi / 2.0)
+                frame = Pose.planar(x, y, self._scene.surface.level, yaw - math.pi / 2.0)
                 area = Footprint.rectangle((width, 2.0 * half), frame)
                 on_site = self._scene.surface.fits_site(area.grown(BUILD_TOLERANCE))
                 if on_site and self._supports(first, area):
                     free = min((area.gap(other) for other in others), default=MARGINS[0])
                     yield min(free, MARGINS[0]) - PREFERENCE * gap, frame
 
-    def _headings(self, base: Sequence[SceneObject]) -> list[float]:
+    def _yaws_along(self, base: Sequence[SceneObject]) -> list[float]:
         """Return the directions (rad) from the last block of a base to its next block."""
         if len(base) > 1:
             return [direction(base[0], base[-1])]
@@ -354,8 +357,3 @@ def _bottom(block: SceneObject) -> Pose:
     """Return the frame at the bottom centre of an upright block, in the block's frame."""
     low, high = block.spec.mesh.bounds.tolist()
     return Pose(((low[0] + high[0]) / 2.0, (low[1] + high[1]) / 2.0, low[2]))
-
-
-def _long_axis(block: SceneObject) -> float:
-    """Return the direction (rad) of the blocks above a block: along it if it is long, else along a side."""
-    return predicates.heading(block) if is_long(block) else side_yaw(block.pose) + math.pi / 2.0

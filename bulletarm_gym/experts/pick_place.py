@@ -214,12 +214,11 @@ def _rank(scene: Scene, pose: Pose, obj: SceneObject) -> tuple[bool, bool, bool]
 
 def _fits(scene: Scene, pose: Pose, obj: SceneObject) -> bool:
     """Return True if a grasp is in reach and without collisions; the fastest check comes first."""
-    return (
-        palm_fits(scene, pose, obj)
-        and fingers_fit(scene, pose, obj)
-        and _reaches(scene, pose)
-        and _wrist_fits(scene, pose, obj)
-    )
+    if not (palm_fits(scene, pose, obj) and fingers_fit(scene, pose, obj) and _reaches(scene, pose)):
+        return False
+    # Palm and wrist can touch only objects that are higher than the roots of the fingers.
+    high = [other.body for other in _others(scene, obj, pose.z + scene.robot.model.gripper.finger[2])]
+    return not high or scene.robot.is_free_at(_nearest_symmetric(pose), high)
 
 
 def _reaches(scene: Scene, pose: Pose) -> bool:
@@ -256,12 +255,6 @@ def palm_fits(scene: Scene, pose: Pose, obj: SceneObject) -> bool:
     outline = Footprint.rectangle((length, width), Pose((0.0, 0.0, 0.0)))
     others = _others(scene, obj, float(under[:, 2].min()))
     return all(outline.gap(_footprint_above(other, pose, root)) > PALM_CLEARANCE for other in others)
-
-
-def _wrist_fits(scene: Scene, pose: Pose, obj: SceneObject) -> bool:
-    """Return True if the arm, with palm and wrist, touches no object that is higher than the finger roots."""
-    high = [other.body for other in _others(scene, obj, pose.z + scene.robot.model.gripper.finger[2])]
-    return not high or scene.robot.is_free_at(_nearest_symmetric(pose), high)
 
 
 def _footprint_above(obj: SceneObject, pose: Pose, height: float) -> Footprint:

@@ -89,9 +89,11 @@ class DrawerOpening(Task):
         x, y, z = cabinet.inverse().transform(tool.position)
         behind = x + opened - HANDLE[0]
         if not (0.0 < behind < HANDLE_DISTANCE and abs(y) < STRUT_SPACING / 2.0 and z < HANDLE[2]):
-            x, y = _hook_position(gripper) - opened, 0.0
+            x, y, near, near_yaw = HOOK - opened, 0.0, ALIGNED, ALIGNED_YAW
+            if FINGERTIP_HEIGHT + gripper.finger[2] <= CABINET[2]:  # short fingers
+                near_bar = HANDLE[0] + HANDLE_RADIUS + gripper.finger[1] / 2.0 + BAR_CLEARANCE
+                x, near, near_yaw = min(HOOK, near_bar) - opened, PRECISE, PRECISE_YAW
             hook = Pose.planar(*cabinet.transform((x, y, FINGERTIP_HEIGHT)), yaw)
-            near, near_yaw = (ALIGNED, ALIGNED_YAW) if _is_long(gripper) else (PRECISE, PRECISE_YAW)
             if planar_distance(hook.position, tool.position) > near or abs(tool.yaw - yaw) > near_yaw:
                 yield from pass_above(tool, hook, CABINET[2] + HOVER)
             yield Waypoint(hook, CLOSED)
@@ -99,17 +101,6 @@ class DrawerOpening(Task):
         end = max(_open_position(gripper), x - scene.max_translation)
         goal = cabinet.transform((end, y, FINGERTIP_HEIGHT))
         yield Waypoint(Pose.planar(*goal, yaw), CLOSED, straight=True)
-
-
-def _is_long(gripper: Gripper) -> bool:
-    """Return True if the palm stays above the cabinet when the fingertips are behind the bar."""
-    return FINGERTIP_HEIGHT + gripper.finger[2] > CABINET[2]
-
-
-def _hook_position(gripper: Gripper) -> float:
-    """Return the position (m) of the gripper behind the bar along the cabinet's x axis, the drawer closed."""
-    near_bar = HANDLE[0] + HANDLE_RADIUS + gripper.finger[1] / 2.0 + BAR_CLEARANCE
-    return HOOK if _is_long(gripper) else min(HOOK, near_bar)
 
 
 def _open_position(gripper: Gripper) -> float:

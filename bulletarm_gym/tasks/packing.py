@@ -12,22 +12,19 @@ from bulletarm_gym.control import GraspParams
 from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.experts.approach import RELEASE, place_pose, rotates
 from bulletarm_gym.experts.pick_place import pick, resting_frame
-from bulletarm_gym.geometry import FloatArray, Footprint, Pose, matrix, planar_distance, wrap_angle
+from bulletarm_gym.geometry import FloatArray, Footprint, Pose, Vector, matrix, wrap_angle
 from bulletarm_gym.objects import containers
 from bulletarm_gym.objects.blocks import SHAPES, packing_block
 from bulletarm_gym.objects.containers import BIN, BOTTLES, TRAY
 from bulletarm_gym.observations import HeightRenderer, Window
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, shaped
 from bulletarm_gym.scene.predicates import inside, is_top, loose_objects, success_at_rest, touching, upright
-from bulletarm_gym.scene.sampling import GRASP_AREA, footprint, goal_site, place_apart
+from bulletarm_gym.scene.sampling import GRASP_AREA, footprint, goal_site, most_free, place_apart
 from bulletarm_gym.tasks.task import Task
 
 BLOCK_SPACING = 0.025
 """Smallest gap (m) between blocks at the start."""
-PICK_OFFSET = 0.0125
-"""Depth (m) of a grasp below the top of a block of scale 1, so that every gripper stays above the rim."""
-OPENING = 0.058
-"""Largest distance (m) between the fingers, half a block wider than a block, to avoid its neighbours."""
+
 PACKING_CLEARANCE = 0.001
 """Gap (m) around a packed block and its fingers."""
 FINGER_RELEASE = 0.004
@@ -44,12 +41,6 @@ PITCH = 0.001
 ROWS, COLUMNS = 2, 3
 BOTTLE_SPACING = 0.024
 """Smallest gap (m) around a bottle at the start, for the fingers at its neck."""
-NECK_OFFSET = 0.025
-"""Depth (m) of a grasp below the top of a bottle of scale 1, at its neck."""
-BOTTLE_GAP = 0.002
-"""Gap (m) between a bottle and the tray's floor at the release."""
-NECK_OPENING = 0.05
-"""Largest distance (m) between the fingers, wider than any neck, to avoid the neighbours."""
 
 
 class BinPacking(Task):
@@ -79,7 +70,8 @@ class BinPacking(Task):
 
     @property
     def grasp_params(self) -> GraspParams:
-        return GraspParams(pick_offset=PICK_OFFSET * max(self.config.scales), opening=OPENING)
+        # Every gripper stays above the rim. The fingers open half a block wider than a block.
+        return GraspParams(pick_offset=0.0125 * max(self.config.scales), opening=0.058)
 
     def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
         names = [f"block {number}" for number in range(config.num_objects)]
@@ -134,18 +126,14 @@ class FreeSpace:
 
     def best(self) -> Pose:
         """Return the tool pose in the world that releases the block as low as possible, close to a corner."""
-        above = Pose.planar(0.0, 0.0, 2.0 * BIN[2], self._yaws()[0])
-        found = [option for yaw in self._yaws() if (option := self._lowest(yaw))]
+        yaws = [self._scene.robot.pose.yaw - self._bin.yaw]
+        if rotates(self._scene):  # the block's long side along the bin's x axis, else along its y axis
+            across = yaws[0] - (resting_frame(self._held).yaw - self._bin.yaw)
+            yaws = [across + math.pi / 2.0, across]
+        above = Pose.planar(0.0, 0.0, 2.0 * BIN[2], yaws[0])
+        found = [option for yaw in yaws if (option := self._lowest(yaw))]
         _, pose = min(found, key=lambda option: option[0], default=((), above))
         return self._bin.compose(pose)
-
-    def _yaws(self) -> list[float]:
-        """Return the gripper's yaws with the block's long side along the bin's x and y axes."""
-        yaw = self._scene.robot.pose.yaw - self._bin.yaw
-        if not rotates(self._scene):
-            return [yaw]
-        across = yaw - (resting_frame(self._held).yaw - self._bin.yaw)
-        return [across + math.pi / 2.0, across]
 
     def _lowest(self, yaw: float) -> tuple[tuple[float, ...], Pose] | None:
         """Return a key for comparison and the pose of the lowest release at a yaw."""
@@ -166,7 +154,7 @@ class FreeSpace:
         cost = self._xs[:, None] - ROW_WEIGHT * np.abs(self._ys)
         row, column = np.unravel_index(np.where(steps == steps.min(), cost, np.inf).argmin(), steps.shape)
         pose = Pose.planar(self._xs[row], self._ys[column], tips[row, column], yaw)
-        return (not free.any(), float(steps[row, column]), yaw != self._yaws()[0]), pose
+        return (not free.any(), float(steps[row, column])), pose
 
     def _outline(self, yaw: float) -> tuple[FloatArray, FloatArray]:
         """Return the lowest and the highest corner (m) of the block relative to the fingertips at a yaw."""
@@ -245,8 +233,8 @@ class BottleArrangement(Task):
 
     @property
     def grasp_params(self) -> GraspParams:
-        depth = NECK_OFFSET * max(self.config.scales)
-        return GraspParams(pick_offset=depth, place_offset=BOTTLE_GAP, opening=NECK_OPENING)
+        # The fingers grasp the neck and open little wider, to avoid the neighbours.
+        return GraspParams(0.025 * max(self.config.scales), place_offset=0.002, opening=0.05)
 
     def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
         names = [f"bottle {number}" for number in range(config.num_objects)]
@@ -275,7 +263,7 @@ class BottleArrangement(Task):
         if held is not None:
             rotation = wrap_angle(yaw - scene.robot.pose.yaw, math.pi / 2.0)
             spot = self._most_free(scene, [obj for obj in bottles if obj is not held])
-            goal = place_pose(scene, held, spot.position, spot.z + RELEASE, rotation)
+            goal = place_pose(scene, held, spot, spot[2] + RELEASE, rotation)
             yield Waypoint(goal, CLOSED, finish=OPEN)
             return
         obj = next((obj for obj in bottles if not self._is_in_tray(scene, obj)), bottles[0])
@@ -287,16 +275,12 @@ class BottleArrangement(Task):
         tray = scene["tray"]
         return inside(obj, tray) and upright(obj) and obj is not scene.held and touching(scene, tray, obj)
 
-    def _most_free(self, scene: Scene, others: list[SceneObject]) -> Pose:
+    def _most_free(self, scene: Scene, others: list[SceneObject]) -> Vector:
         """Return the position in the tray, in the world, with the largest distance to other bottles."""
-        points = [obj.pose.position for obj in others]
         x, y = TRAY[0] / COLUMNS, TRAY[1] / ROWS
         grid = [
-            Pose((x * (column - (COLUMNS - 1) / 2.0), y * (row - (ROWS - 1) / 2.0), containers.TRAY_FLOOR))
+            (x * (column - (COLUMNS - 1) / 2.0), y * (row - (ROWS - 1) / 2.0), containers.TRAY_FLOOR)
             for column in range(COLUMNS)
             for row in range(ROWS)
         ]
-        spots = [scene["tray"].pose.compose(position) for position in grid]
-        return max(
-            spots, key=lambda spot: min((planar_distance(spot.position, p) for p in points), default=0.0)
-        )
+        return most_free(map(scene["tray"].pose.transform, grid), others)
