@@ -24,14 +24,10 @@ from bulletarm_gym.tasks.task import Task
 
 DROP_HEIGHT = 0.12
 """Height (m) above the tray's floor from which objects are dropped."""
-DROP_STEPS = 36
-"""Simulation steps between two drops, the duration of a fall to the floor."""
+
 DROP_MARGIN = 0.055
 """Distance (m) of dropped objects to the workspace's border and the tray's walls."""
-SETTLE_STEPS = 480
-"""Largest number of simulation steps (2 s) in which new clutter comes to rest."""
-ARM_AWAY = 0.4
-"""Height (m) of the fingertips while objects are dropped, if it is in reach."""
+
 DEFAULTS = TaskDefaults(
     num_objects=5,
     allowed_objects=tuple(range(1, 16)),
@@ -66,8 +62,7 @@ MAX_FAILURES = 6
 
 PICK_DEPTH = 0.025
 """Depth (m) of open-loop grasps below the highest point between the fingers, for actions without z."""
-PICK_AREA = (0.07, 0.02)
-"""Length and width (m) of the area between the fingers, for actions without z."""
+
 NUDGE = 0.04
 """Largest distance (m) along x and y at which the fingers close next to an object to move it."""
 QUALITY_NOISE = 0.02
@@ -112,17 +107,17 @@ class ObjectGrasping(Lift):
         raise PlacementError(f"num_objects: {self.config.num_objects} objects do not stay in the tray")
 
     def drop(self, scene: Scene, objects: Sequence[SceneObject], rng: np.random.Generator) -> None:
-        """Drop objects into the tray one by one and simulate until they rest, with the arm raised."""
+        """Drop objects into the tray one by one and simulate until they rest (2 s), with the arm raised."""
         start = scene.robot.pose
-        away = Pose.planar(start.x, start.y, ARM_AWAY)
+        away = Pose.planar(start.x, start.y, 0.4)
         scene.robot.home(away if scene.robot.reaches(away) else start)
         for obj in objects:
             obj.place(self._drop_pose(scene, rng))
             scene.begin()
-            scene.world.step(DROP_STEPS)
+            scene.world.step(36)  # the duration of a fall to the floor
             scene.world.end()
         scene.begin()
-        settle(scene.world, scene.world.loose_bodies, SETTLE_STEPS)
+        settle(scene.world, scene.world.loose_bodies, 480)
         scene.robot.home(start)
 
     def _drop_pose(self, scene: Scene, rng: np.random.Generator) -> Pose:
@@ -206,7 +201,7 @@ class OpenLoopObjectGrasping(ObjectGrasping):
 
     @property
     def grasp_params(self) -> GraspParams:
-        return GraspParams(pick_offset=PICK_DEPTH, pick_area=PICK_AREA)
+        return GraspParams(pick_offset=PICK_DEPTH, pick_area=(0.07, 0.02))  # the area between the fingers
 
     def plan(self, scene: Scene, rng: np.random.Generator) -> Iterator[Waypoint]:
         if scene.held is not None:

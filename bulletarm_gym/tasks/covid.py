@@ -36,8 +36,7 @@ AWAY = 0.05
 """Height (m) of the fingertips above the test area from which the user can test."""
 FINGER_GAP = 0.0075
 """Gap (m) between an object and each open finger, because a swab may lie close to a tube."""
-OPENING = 0.04
-"""Largest distance (m) between the fingers, for the narrow gap between two tubes."""
+
 QUARTER = math.pi / 2.0
 CONTAINERS = {
     "new box": (containers.new_tube_box, containers.NEW_TUBE_BOX, (-1.0, 1.0)),
@@ -86,7 +85,7 @@ class CovidTest(Task):
 
     @property
     def grasp_params(self) -> GraspParams:
-        return GraspParams(pick_offset=GRASP_DEPTH, opening=OPENING)
+        return GraspParams(pick_offset=GRASP_DEPTH, opening=0.04)  # for the narrow gap between two tubes
 
     def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
         if max(config.scales) > MAX_SCALE:

@@ -12,7 +12,7 @@ from bulletarm_gym.control import GraspParams
 from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.experts.approach import RELEASE, place_pose, rotates
 from bulletarm_gym.experts.pick_place import pick, resting_frame
-from bulletarm_gym.geometry import FloatArray, Footprint, Pose, Vector, matrix, wrap_angle
+from bulletarm_gym.geometry import FloatArray, Footprint, Pose, matrix, wrap_angle
 from bulletarm_gym.objects import containers
 from bulletarm_gym.objects.blocks import SHAPES, packing_block
 from bulletarm_gym.objects.containers import BIN, BOTTLES, TRAY
@@ -21,9 +21,6 @@ from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, shaped
 from bulletarm_gym.scene.predicates import inside, is_top, loose_objects, success_at_rest, touching, upright
 from bulletarm_gym.scene.sampling import GRASP_AREA, footprint, goal_site, most_free, place_apart
 from bulletarm_gym.tasks.task import Task
-
-BLOCK_SPACING = 0.025
-"""Smallest gap (m) between blocks at the start."""
 
 PACKING_CLEARANCE = 0.001
 """Gap (m) around a packed block and its fingers."""
@@ -38,9 +35,12 @@ VIEW = 0.24
 PITCH = 0.001
 """Side (m) of a pixel of the elevation map of the bin."""
 
-ROWS, COLUMNS = 2, 3
-BOTTLE_SPACING = 0.024
-"""Smallest gap (m) around a bottle at the start, for the fingers at its neck."""
+SPOTS = [
+    (x, y, containers.TRAY_FLOOR)
+    for x in (-TRAY[0] / 3.0, 0.0, TRAY[0] / 3.0)
+    for y in (-TRAY[1] / 4.0, TRAY[1] / 4.0)
+]
+"""Positions (m) of six bottles, in the frame of the tray."""
 
 
 class BinPacking(Task):
@@ -87,7 +87,7 @@ class BinPacking(Task):
             area = Footprint.rectangle(GRASP_AREA, pose)
             return not self.config.random_orientation or area.gap(base) > 0.0
 
-        place_apart(scene, rng, scene.objects[1:], BLOCK_SPACING, allows=is_graspable)
+        place_apart(scene, rng, scene.objects[1:], gap=0.025, allows=is_graspable)
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
         packed = all(self._is_in_bin(scene, block) for block in loose_objects(scene))
@@ -243,7 +243,7 @@ class BottleArrangement(Task):
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         scene["tray"].place(goal_site(scene, rng, self.site))
-        place_apart(scene, rng, scene.objects[1:], BOTTLE_SPACING)
+        place_apart(scene, rng, scene.objects[1:], gap=0.024)  # for the fingers at the necks
 
     def evaluate(self, scene: Scene) -> dict[str, bool]:
         arranged = all(self._is_in_tray(scene, obj) for obj in loose_objects(scene))
@@ -262,7 +262,8 @@ class BottleArrangement(Task):
         held, yaw, bottles = scene.held, scene["tray"].pose.yaw, loose_objects(scene)
         if held is not None:
             rotation = wrap_angle(yaw - scene.robot.pose.yaw, math.pi / 2.0)
-            spot = self._most_free(scene, [obj for obj in bottles if obj is not held])
+            others = [obj for obj in bottles if obj is not held]
+            spot = most_free(map(scene["tray"].pose.transform, SPOTS), others)
             goal = place_pose(scene, held, spot, spot[2] + RELEASE, rotation)
             yield Waypoint(goal, CLOSED, finish=OPEN)
             return
@@ -274,13 +275,3 @@ class BottleArrangement(Task):
     def _is_in_tray(self, scene: Scene, obj: SceneObject) -> bool:
         tray = scene["tray"]
         return inside(obj, tray) and upright(obj) and obj is not scene.held and touching(scene, tray, obj)
-
-    def _most_free(self, scene: Scene, others: list[SceneObject]) -> Vector:
-        """Return the position in the tray, in the world, with the largest distance to other bottles."""
-        x, y = TRAY[0] / COLUMNS, TRAY[1] / ROWS
-        grid = [
-            (x * (column - (COLUMNS - 1) / 2.0), y * (row - (ROWS - 1) / 2.0), containers.TRAY_FLOOR)
-            for column in range(COLUMNS)
-            for row in range(ROWS)
-        ]
-        return most_free(map(scene["tray"].pose.transform, grid), others)

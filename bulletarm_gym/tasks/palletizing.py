@@ -31,8 +31,7 @@ PICK_OFFSET = 0.02
 """Depth (m) of a grasp below the top of a box of scale 1."""
 BOX_MARGIN = 0.01
 """Distance (m) of a new box to the workspace's border and the pallet, because it may slide on bumps."""
-ASIDE_CLEARANCE = 0.03
-"""Gap (m) around a box that is put aside."""
+
 ATTEMPTS = 4000
 """Number of samples for a new box, because the gripper fits only in a small part of the workspace."""
 NO_ROOM = "no room"
@@ -142,7 +141,7 @@ class BoxPalletizing(Task):
 
     def _aside(self, scene: Scene, rng: np.random.Generator, held: SceneObject) -> Pose:
         try:
-            aside = sampling.free_pose(scene, rng, held, ASIDE_CLEARANCE)
+            aside = sampling.free_pose(scene, rng, held, gap=0.03)
         except PlacementError:
             return scene.surface.pose(sampling.most_free_point(scene, held), 0.0)
         return scene.surface.pose((aside.x, aside.y), aside.yaw)

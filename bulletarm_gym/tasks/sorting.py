@@ -24,8 +24,7 @@ from bulletarm_gym.tasks.task import Task
 COLOURS = {"red": RED, "blue": BLUE}
 BOWL_SCALE = 4.0 / 3.0
 """Scale of a bowl relative to a cube, so that two cubes fit side by side on its floor."""
-SPACING = 0.02
-"""Smallest gap (m) between two objects at the start."""
+
 FROM_AXIS = 0.32
 """Distance of a cube from the bowl's axis at its release, relative to its side."""
 RELEASE_HEIGHT = 0.6
@@ -84,7 +83,7 @@ class BlockSorting(Task):
 
     def arrange(self, scene: Scene, rng: np.random.Generator) -> None:
         sample_until(
-            lambda: place_apart(scene, rng, scene.objects, SPACING),
+            lambda: place_apart(scene, rng, scene.objects, gap=0.02),
             lambda _: all(_has_space(scene, block) for block in _cubes(scene)),
         )
 
