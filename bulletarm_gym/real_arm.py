@@ -93,6 +93,7 @@ def in_hand_image(
 
     :param heightmap: (1, n, n), heightmap before the pick
     :param pick: pose (world) of the fingertips when they closed
+    :param size: side length (pixels) of the image, ``in_hand_size``; 40 on bumps
     :param tilts: whether actions have three r's and the image three channels
     :return: (1, size, size) or (3, size, size) m, within [0, 0.4]
     :raises ValueError: an argument has another shape or type
