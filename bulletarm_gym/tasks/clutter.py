@@ -171,7 +171,8 @@ class ObjectGrasping(Lift):
             return None
         rotation = ROTATION_WEIGHT * _half_turns(yaw - tool.yaw)
         distance = np.sqrt((x - tool.x) ** 2 + (y - tool.y) ** 2 + rotation**2)
-        return _pose(grasps[int(np.where(good, value - DISTANCE_COST * distance, -np.inf).argmax())])
+        best = int(np.where(good, value - DISTANCE_COST * distance, -np.inf).argmax())
+        return Pose.planar(*grasps[best, :4].tolist())
 
     def _grasps(self, scene: Scene, clutter: ClutterMap, depths: Sequence[float]) -> FloatArray:
         """Return the grasps in the workspace, see :func:`find_grasps`."""
@@ -211,9 +212,10 @@ class OpenLoopObjectGrasping(ObjectGrasping):
         grasps = self._grasps(scene, ClutterMap.of(scene), depths)
         if len(grasps):
             value = grasps[:, 4] + rng.normal(0.0, QUALITY_NOISE, len(grasps))
-            yield Waypoint(_pose(grasps[int(value.argmax())]), OPEN, finish=CLOSED)
+            pose = Pose.planar(*grasps[int(value.argmax()), :4].tolist())
         else:
-            yield Waypoint(self._beside(scene, rng), OPEN, finish=CLOSED)
+            pose = self._beside(scene, rng)
+        yield Waypoint(pose, OPEN, finish=CLOSED)
 
     def _beside(self, scene: Scene, rng: np.random.Generator) -> Pose:
         """Sample a low pose next to an object's centre, from which the closing fingers move it inwards."""
@@ -245,10 +247,6 @@ def _approach(scene: Scene, clutter: ClutterMap, target: Pose) -> Waypoint:
     top = max(target.z, clutter.top_between(tool.position, target.position, reach) + HOVER)
     height = target.z + (top - target.z) * min(1.0, max(0.0, apart / FUNNEL))
     return Waypoint(Pose.planar(target.x, target.y, height, tool.yaw + rotation), OPEN)
-
-
-def _pose(grasp: FloatArray) -> Pose:
-    return Pose.planar(*grasp[:4].tolist())
 
 
 def _half_turns(angles: FloatArray) -> FloatArray:
