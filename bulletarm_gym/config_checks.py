@@ -67,8 +67,7 @@ def _is_number(value: Any) -> bool:
 
 
 def _float(value: Any) -> float:
-    plain = _plain(value)
-    return float(plain) if type(plain) in (int, float) else math.nan
+    return float(value) if _is_number(value) else math.nan
 
 
 def _pair(value: Any) -> Any:
@@ -239,9 +238,8 @@ def function_path(preset: str) -> Check:
     """Accept one word and import paths of functions."""
 
     def accepts(value: Any) -> bool:
-        if not isinstance(value, str) or value == preset:
-            return bool(value == preset)
-        return value.count(":") == 1 and all(map(str.isidentifier, value.replace(":", ".").split(".")))
+        parts = value.replace(":", ".").split(".")
+        return value == preset or (value.count(":") == 1 and all(map(str.isidentifier, parts)))
 
     return rule(f'None, "{preset}" or "module:function"', accepts)
 

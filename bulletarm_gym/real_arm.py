@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bulletarm_gym.benchmarks import IN_HAND
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WORKSPACES
 from bulletarm_gym.config_checks import check_argument, integer, numbers, rule
 from bulletarm_gym.config_checks import workspace as limits
@@ -34,8 +35,7 @@ Limits = Sequence[Sequence[float]]
 """Limits (m) of a workspace along x, y and z."""
 SIZE = 128
 """Default side length (pixels) of heightmaps, ``obs_size``."""
-IN_HAND_SIZE = 24
-"""Default side length (pixels) of in-hand images, ``in_hand_size``; 40 on bumps."""
+
 POINTS = rule("an array of numbers", lambda cloud: cloud.dtype.kind in "iuf", np.asarray)
 """Check of points of any shape."""
 HEIGHTMAP = rule(
@@ -86,13 +86,14 @@ def in_hand_image(
     heightmap: Heights,
     pick: Pose,
     workspace: Limits = WORKSPACES[OPEN_LOOP],
-    size: int = IN_HAND_SIZE,
+    size: int = IN_HAND,
     tilts: bool = False,
 ) -> Heights:
     """Return the in-hand image of open-loop control from a pick to the next place. At other times it is zero.
 
     :param heightmap: (1, n, n), heightmap before the pick
     :param pick: pose (world) of the fingertips when they closed
+    :param size: side length (pixels) of the image, ``in_hand_size``; 40 on bumps
     :param tilts: whether actions have three r's and the image three channels
     :return: (1, size, size) or (3, size, size) m, within [0, 0.4]
     :raises ValueError: an argument has another shape or type

@@ -263,54 +263,33 @@ def _sensor_by_path(entry: Any) -> Any:
 # Ids
 
 NAMESPACE = "BulletArm"
-TASK_PACKAGE = "bulletarm_gym.tasks."
-ENTRY_POINT = "bulletarm_gym.env:ManipulationEnv"
+
 PAIR = {"num_objects": 2, "object_scale_range": 1.0, "max_steps": 50}
 """Parameters of the paper's closed-loop Block Stacking and House Building: two blocks of 5 cm."""
 
 
-@dataclass(frozen=True)
-class Entry:
-    """Components of a registered environment.
-
-    :param name: name in the id
-    :param task: import path of the task
-    :param defaults: JSON values that replace the task's defaults of parameters
-    """
-
-    name: str
-    task: str
-    control: str
-    surface: str = "flat"
-    defaults: Mapping[str, Any] = field(default_factory=dict)
-
-    @property
-    def env_id(self) -> str:
-        """Id of the environment."""
-        return f"{NAMESPACE}/{self.name}-v0"
-
-    @property
-    def kwargs(self) -> dict[str, Any]:
-        """Arguments of the constructor of the environment."""
-        defaults = {"defaults": dict(self.defaults)} if self.defaults else {}
-        return {"task": self.task, "control": self.control, "surface": self.surface, **defaults}
-
-
-def _prefix(control: str, surface: str) -> str:
-    """Return the beginning of the name in an id, such as ``"OpenLoopRamp"``; ``"flat"`` is not named."""
+def _env_id(name: str, control: str, surface: str) -> str:
+    """Return an id such as ``"BulletArm/OpenLoopRampBlockStacking-v0"``; ``"flat"`` is not named."""
     words = f"{control}_{'' if surface == 'flat' else surface}".split("_")
-    return "".join(word[:1].upper() + word[1:] for word in words)
+    return f"{NAMESPACE}/{''.join(word[:1].upper() + word[1:] for word in words)}{name}-v0"
 
 
-def _entries(
+def _environments(
     tasks: str, control: str, surface: str = "flat", defaults: Mapping[str, Any] | None = None
-) -> list[Entry]:
-    """Return the entries of tasks, each ``"module:Class"`` in ``bulletarm_gym.tasks``."""
-    prefix = _prefix(control, surface)
-    names = {task: prefix + task.partition(":")[2].removeprefix(prefix) for task in tasks.split()}
-    return [
-        Entry(name, TASK_PACKAGE + task, control, surface, defaults or {}) for task, name in names.items()
-    ]
+) -> dict[str, dict[str, Any]]:
+    """Return the arguments of the constructor by id.
+
+    :param tasks: words ``module:Class`` in ``bulletarm_gym.tasks``, or ``module:Class:Name`` if the id has
+        another name
+    :param defaults: JSON values that replace the tasks' defaults of parameters
+    """
+    shared = {"control": control, "surface": surface, **({"defaults": dict(defaults)} if defaults else {})}
+    environments = {}
+    for task in tasks.split():
+        module, kind, *other = task.split(":")
+        path = f"bulletarm_gym.tasks.{module}:{kind}"
+        environments[_env_id(other[0] if other else kind, control, surface)] = {"task": path, **shared}
+    return environments
 
 
 HOUSES = (
@@ -321,35 +300,39 @@ STRUCTURES = f"stacking:BlockStacking {HOUSES}"
 PACKAGING = "packing:BinPacking packing:BottleArrangement palletizing:BoxPalletizing covid:CovidTest"
 BLOCKS = "picking:BlockReaching picking:BlockPicking pushing:BlockPushing pushing:BlockPulling"
 
-PAPER = (
-    *_entries(f"{STRUCTURES} {PACKAGING} clutter:OpenLoopObjectGrasping", "open_loop"),
-    *_entries(STRUCTURES, "open_loop", "ramp"),
-    *_entries("stacking:HouseBuilding4 palletizing:BoxPalletizing", "open_loop", "bump"),
-    *_entries(f"{BLOCKS} picking:BlockInBowl", "close_loop"),
-    *_entries("stacking:BlockStacking", "close_loop", "flat", PAIR),
-    Entry("CloseLoopHouseBuilding", TASK_PACKAGE + "stacking:HouseBuilding1", "close_loop", defaults=PAIR),
-    *_entries("picking:CornerPicking drawer:DrawerOpening clutter:ObjectGrasping", "close_loop"),
-)
-"""Environments of the paper."""
-COMPOSED = (
-    *_entries(f"{HOUSES} {PACKAGING}", "close_loop"),
-    *_entries("picking:BlockPicking", "close_loop", "ramp"),
-    *_entries("picking:BlockPicking picking:BlockInBowl", "close_loop", "bump"),
-)
+PAPER = {
+    **_environments(f"{STRUCTURES} {PACKAGING} clutter:OpenLoopObjectGrasping:ObjectGrasping", "open_loop"),
+    **_environments(STRUCTURES, "open_loop", "ramp"),
+    **_environments("stacking:HouseBuilding4 palletizing:BoxPalletizing", "open_loop", "bump"),
+    **_environments(f"{BLOCKS} picking:BlockInBowl", "close_loop"),
+    **_environments(
+        "stacking:BlockStacking stacking:HouseBuilding1:HouseBuilding", "close_loop", "flat", PAIR
+    ),
+    **_environments("picking:CornerPicking drawer:DrawerOpening clutter:ObjectGrasping", "close_loop"),
+}
+"""Environments of the paper: arguments of the constructor by id."""
+COMPOSED = {
+    **_environments(f"{HOUSES} {PACKAGING}", "close_loop"),
+    **_environments("picking:BlockPicking", "close_loop", "ramp"),
+    **_environments("picking:BlockPicking picking:BlockInBowl", "close_loop", "bump"),
+}
 """Other combinations of the paper's tasks, if the expert succeeds in at least 95 % of episodes."""
-OWN = (*_entries("sorting:BlockSorting", "open_loop"), *_entries("sorting:BlockSorting", "close_loop"))
+OWN = {
+    **_environments("sorting:BlockSorting", "open_loop"),
+    **_environments("sorting:BlockSorting", "close_loop"),
+}
 """Environments that are not in the paper."""
-ENTRIES = (*PAPER, *COMPOSED, *OWN)
+ENVIRONMENTS = {**PAPER, **COMPOSED, **OWN}
 
-PAPER_IDS: tuple[str, ...] = tuple(entry.env_id for entry in PAPER)
-ENV_IDS: tuple[str, ...] = tuple(entry.env_id for entry in ENTRIES)
+PAPER_IDS: tuple[str, ...] = tuple(PAPER)
+ENV_IDS: tuple[str, ...] = tuple(ENVIRONMENTS)
 
 
 def register_all() -> None:
     """Register the ids of the package, and the registrations of the process that started this one."""
-    for entry in (*ENTRIES, *(Entry(**recipe) for recipe in published().get(TASKS.kind, {}).values())):
-        if entry.env_id not in gymnasium.registry:
-            register(entry.env_id, entry.kwargs)
+    for env_id, kwargs in {**ENVIRONMENTS, **published().get(TASKS.kind, {})}.items():
+        if env_id not in gymnasium.registry:
+            register(env_id, kwargs)
 
 
 def register_task(name: str, task: Any, control: str = "close_loop", surface: str = "flat") -> str:
@@ -368,25 +351,29 @@ def register_task(name: str, task: Any, control: str = "close_loop", surface: st
     for registry, chosen in ((CONTROLS, control), (SURFACES, surface)):
         if chosen not in registry.names:
             raise ParameterError.of(registry.kind, chosen, f"one of {', '.join(map(repr, registry.names))}")
-    recipe = by_path({"control": control, "surface": surface})
-    entry = Entry(_prefix(control, surface) + name, registered_path(task), **recipe)
-    task_type, control_type = find_combination(entry.task, entry.control)
+    env_id = _env_id(name, control, surface)
+    kwargs = by_path({"task": registered_path(task), "control": control, "surface": surface})
+    task_type, control_type = find_combination(kwargs["task"], kwargs["control"])
     config = importlib.import_module("bulletarm_gym.config")  # which imports this module
-    components = (control_type.kind, task_type.defaults, entry.surface, control_type.sequences)
+    components = (control_type.kind, task_type.defaults, kwargs["surface"], control_type.sequences)
     config.EnvConfig.of(config.Context(*components), {})
-    known_spec = gymnasium.registry.get(entry.env_id)
+    known_spec = gymnasium.registry.get(env_id)
     if known_spec is None:
-        register(entry.env_id, entry.kwargs)
-    elif known_spec.kwargs != entry.kwargs:
-        raise ValueError(f"name must be unused, got {name!r}: {entry.env_id} has {known_spec.kwargs}")
-    _publish(TASKS.kind, entry.env_id, {"name": entry.name, "task": entry.task, **recipe})
-    return entry.env_id
+        register(env_id, kwargs)
+    elif known_spec.kwargs != kwargs:
+        raise ValueError(f"name must be unused, got {name!r}: {env_id} has {known_spec.kwargs}")
+    _publish(TASKS.kind, env_id, kwargs)
+    return env_id
 
 
-def register(env_id: str, recipe: Mapping[str, Any]) -> None:
+def register(env_id: str, kwargs: Mapping[str, Any]) -> None:
     """Register an id with Gymnasium, with arguments of the constructor."""
-    wrappers = (time_limit_spec(None),)
-    gymnasium.register(env_id, entry_point=ENTRY_POINT, kwargs=dict(recipe), additional_wrappers=wrappers)
+    gymnasium.register(
+        env_id,
+        entry_point="bulletarm_gym.env:ManipulationEnv",
+        kwargs=dict(kwargs),
+        additional_wrappers=(time_limit_spec(None),),
+    )
 
 
 def time_limit_spec(known: int | None) -> WrapperSpec:

@@ -103,8 +103,7 @@ class CommonSpaces(gymnasium.ObservationWrapper[Observation, Any, Observation], 
         self.action_sequence = action_sequence
         self.action_space = spaces.Box(-1.0, 1.0, (len(action_sequence),), np.float32)
         self._places = _places(own, action_sequence)
-        self._task_id = np.zeros(observation_space[TASK_ID].shape or (), np.float32)
-        self._task_id[task] = 1.0
+        self._task_id = np.eye(space[TASK_ID].shape[0], dtype=np.float32)[task]
 
     def step(self, action: ArrayLike) -> tuple[Observation, Any, bool, bool, dict[str, Any]]:
         """Carry out an action of all tasks.

@@ -58,8 +58,8 @@ class ImageObservation(
         self.size = check_argument("size", size, optional(integer(1))) or max(sides)
         count = len(self.channels)
         self._axis = -1 if channels_last else 0
-        self._shape = (self.size, self.size, count) if channels_last else (count, self.size, self.size)
-        self.observation_space = spaces.Box(0, WHITE, self._shape, np.uint8)
+        shape = (self.size, self.size, count) if channels_last else (count, self.size, self.size)
+        self.observation_space = spaces.Box(0, WHITE, shape, np.uint8)
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -71,11 +71,9 @@ class ImageObservation(
 
     def observation(self, observation: dict[str, NDArray[Any]]) -> NDArray[np.uint8]:
         """Return the image, (channels, size, size) or, with ``channels_last``, (size, size, channels)."""
-        image = np.empty(self._shape, np.uint8)
         layers = (layer for name, box in self._boxes.items() for layer in _scaled(observation[name], box))
-        for channel, layer in zip(np.moveaxis(image, self._axis, 0), layers, strict=True):
-            channel[:] = np.rint(WHITE * self._resized(layer))
-        return image
+        image = np.stack([np.rint(WHITE * self._resized(layer)) for layer in layers], self._axis)
+        return image.astype(np.uint8)
 
     def images(self, observations: dict[str, NDArray[Any]]) -> NDArray[np.uint8]:
         """Return the images of n observations, such as a demonstrated episode.
@@ -86,11 +84,11 @@ class ImageObservation(
         return np.stack([self.observation(dict(zip(observations, row, strict=True))) for row in rows])
 
     def _resized(self, layer: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return a channel in the size of the image; a number is returned as it is."""
-        if layer.ndim == 0 or layer.shape == (self.size, self.size):
-            return layer
-        resized = Image.fromarray(layer).resize((self.size, self.size), Image.Resampling.BILINEAR)
-        return np.asarray(resized)
+        """Return a channel in the size of the image; a number becomes a constant channel."""
+        shape = (self.size, self.size)
+        if layer.ndim == 0 or layer.shape == shape:
+            return np.broadcast_to(layer, shape)
+        return np.asarray(Image.fromarray(layer).resize(shape, Image.Resampling.BILINEAR))
 
 
 def _image_boxes(space: spaces.Space[Any]) -> dict[str, spaces.Box]:

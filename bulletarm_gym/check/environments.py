@@ -13,7 +13,7 @@ import gymnasium
 import pybullet_data
 
 import bulletarm_gym  # noqa: F401 (registers the environments)
-from bulletarm_gym.check.machine import Finding, describe_processor, versions
+from bulletarm_gym.check.machine import Finding, describe_machine, load_average, versions
 from bulletarm_gym.geometry.compilation import MONITOR
 from bulletarm_gym.registry import ROBOTS
 from bulletarm_gym.simulation import has_display
@@ -50,9 +50,8 @@ def check_environments(seconds: float) -> Iterator[Finding]:
     """Yield the findings on the machine, the robots and, measured for some seconds each, the speed."""
     yield Finding("versions", ", ".join(f"{name} {version}" for name, version in versions().items()))
     advice = "the load average must be at most the number of cores. Trainings and this check are slower"
-    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None  # not on Windows
-    value = describe_processor() + ("" if load is None else f", load average {load:.2f}")
-    yield Finding("processor", value, advice if load and load > (os.cpu_count() or 1) else "")
+    is_busy = load_average() > (os.cpu_count() or 1)
+    yield Finding("processor", describe_machine(), advice if is_busy else "")
     threads = os.environ.get(THREADS)
     advice = f"export {THREADS}=1 before you run several trainings or worker processes at the same time"
     yield Finding("threads", f"{THREADS}={threads or 'not set'}", "" if threads else advice)

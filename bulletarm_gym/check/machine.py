@@ -1,5 +1,6 @@
 """The processor, its load, the versions of packages, and findings about them."""
 
+import math
 import os
 import platform
 from collections.abc import Iterable
@@ -32,6 +33,12 @@ def report(findings: Iterable[Finding]) -> list[str]:
     return failed
 
 
+def describe_machine() -> str:
+    """Return model and cores of the processor, and the load average over one minute if known."""
+    load = load_average()
+    return describe_processor() + ("" if math.isnan(load) else f", load average {load:.2f}")
+
+
 def describe_processor() -> str:
     """Return model and cores of the processor."""
     info = Path("/proc/cpuinfo")
@@ -39,6 +46,11 @@ def describe_processor() -> str:
     models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     model = models[0] if models else platform.processor() or platform.machine()
     return f"{model}, {os.cpu_count()} cores"
+
+
+def load_average() -> float:
+    """Return the load average over one minute, or NaN if the system has none."""
+    return os.getloadavg()[0] if hasattr(os, "getloadavg") else math.nan
 
 
 def versions(packages: Iterable[str] = PACKAGES) -> dict[str, str]:

@@ -118,6 +118,7 @@ TILT = math.pi / 12.0
 TILTED_Z = (0.02, 0.2)
 """Heights (m) above the workspace's floor at which that tilt must be in reach."""
 ANGLES = ("theta", "phi", "psi")
+"""Names of three r's in an action sequence."""
 
 
 @dataclass(frozen=True)

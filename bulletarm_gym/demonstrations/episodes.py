@@ -274,12 +274,9 @@ def atomic_path(path: Path) -> Iterator[Path]:
 def _read(group: h5py.Group) -> Episode:
     return Episode(
         {key: _observations(dataset) for key, dataset in group["observations"].items()},
-        group["actions"][()],
-        group["rewards"][()],
-        group["terminations"][()],
-        group["truncations"][()],
-        int(group["seed"][()]) if "seed" in group else None,
-        group["initial_state"][()].tobytes().decode(),
+        **{name: group[name][()] for name in STEPS},
+        seed=int(group["seed"][()]) if "seed" in group else None,
+        initial_state=group["initial_state"][()].tobytes().decode(),
     )
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from bulletarm_gym.config_checks import check_argument, mapping, rule
+from bulletarm_gym.control.open_loop import ANGLES
 from bulletarm_gym.demonstrations.episodes import Demonstrations, Episode, atomic_path, replay
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.observations import Rgb, Sensor, State
@@ -27,8 +28,6 @@ IMAGES = "observation.images."
 """Beginning of the names of color images."""
 GRIPPER = ("opening", "x", "y", "z", "cos_yaw", "sin_yaw", "holding")
 POSE = ("present", "x", "y", "z", "qx", "qy", "qz", "qw")
-ANGLES = ("theta", "phi", "psi")
-"""Names of three r's in an action sequence."""
 
 
 def exported_env(demonstrations: Demonstrations) -> closing[gymnasium.Env[Any, Any]]:

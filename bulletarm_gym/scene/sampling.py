@@ -1,17 +1,18 @@
 """Sampling of free points, poses and sites in the workspace, with a bounded number of attempts."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from typing import TypeVar
 
 import numpy as np
 
-from bulletarm_gym.geometry import Footprint, PlacementError, Pose
+from bulletarm_gym.geometry import Footprint, PlacementError, Pose, planar_distance
 from bulletarm_gym.scene import Scene, SceneObject, cached_by_pose
 from bulletarm_gym.surfaces.surface import ATTEMPTS, Point
 
 T = TypeVar("T")
+P = TypeVar("P", bound=Sequence[float])
 
 GRASP_AREA = (0.21, 0.07)
 """Length and width (m) of the area around a block that tasks keep free for any gripper."""
@@ -186,9 +187,14 @@ def most_free_point(scene: Scene, obj: SceneObject) -> Point:
     """Return the point on a grid in the workspace with the largest distance to all other objects."""
     margin = obj.spec.planar_radius
     xs, ys = (np.linspace(low + margin, high - margin, GRID) for low, high in scene.config.workspace[:2])
-    others = [other.pose.position[:2] for other in scene if other is not obj]
     points = [(x, y) for x in xs.tolist() for y in ys.tolist()]
-    return max(points, key=lambda point: min((math.dist(point, other) for other in others), default=0.0))
+    return most_free(points, [other for other in scene if other is not obj])
+
+
+def most_free(points: Iterable[P], others: Sequence[SceneObject]) -> P:
+    """Return the point (m) with the largest horizontal distance to the nearest of other objects."""
+    positions = [other.pose.position for other in others]
+    return max(points, key=lambda point: min((planar_distance(point, p) for p in positions), default=0.0))
 
 
 def is_within(scene: Scene, point: Sequence[float], margin: float) -> bool:

@@ -2,7 +2,7 @@
 
 from bulletarm_gym.surfaces.bump import BumpSurface
 from bulletarm_gym.surfaces.ramp import RampSurface
-from bulletarm_gym.surfaces.surface import FlatSurface, Point, Surface, TraySurface
+from bulletarm_gym.surfaces.surface import FlatSurface, Surface, TraySurface
 
 SURFACES: dict[str, type[Surface]] = {
     "flat": FlatSurface,
@@ -12,12 +12,4 @@ SURFACES: dict[str, type[Surface]] = {
 }
 """Built-in surfaces by name."""
 
-__all__ = [
-    "SURFACES",
-    "BumpSurface",
-    "FlatSurface",
-    "Point",
-    "RampSurface",
-    "Surface",
-    "TraySurface",
-]
+__all__ = ["SURFACES", "BumpSurface", "FlatSurface", "RampSurface", "Surface", "TraySurface"]

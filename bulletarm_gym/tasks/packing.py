@@ -12,14 +12,14 @@ from bulletarm_gym.control import GraspParams
 from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.experts.approach import RELEASE, place_pose, rotates
 from bulletarm_gym.experts.pick_place import pick, resting_frame
-from bulletarm_gym.geometry import FloatArray, Footprint, Pose, matrix, planar_distance, wrap_angle
+from bulletarm_gym.geometry import FloatArray, Footprint, Pose, matrix, wrap_angle
 from bulletarm_gym.objects import containers
 from bulletarm_gym.objects.blocks import SHAPES, packing_block
 from bulletarm_gym.objects.containers import BIN, BOTTLES, TRAY
 from bulletarm_gym.observations import HeightRenderer, Window
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, shaped
 from bulletarm_gym.scene.predicates import inside, is_top, loose_objects, success_at_rest, touching, upright
-from bulletarm_gym.scene.sampling import GRASP_AREA, footprint, goal_site, place_apart
+from bulletarm_gym.scene.sampling import GRASP_AREA, footprint, goal_site, most_free, place_apart
 from bulletarm_gym.tasks.task import Task
 
 BLOCK_SPACING = 0.025
@@ -41,7 +41,12 @@ VIEW = 0.24
 PITCH = 0.001
 """Side (m) of a pixel of the elevation map of the bin."""
 
-ROWS, COLUMNS = 2, 3
+SPOTS = [
+    (x, y, containers.TRAY_FLOOR)
+    for x in (-TRAY[0] / 3.0, 0.0, TRAY[0] / 3.0)
+    for y in (-TRAY[1] / 4.0, TRAY[1] / 4.0)
+]
+"""Positions (m) of six bottles, in the frame of the tray."""
 BOTTLE_SPACING = 0.024
 """Smallest gap (m) around a bottle at the start, for the fingers at its neck."""
 NECK_OFFSET = 0.025
@@ -274,8 +279,9 @@ class BottleArrangement(Task):
         held, yaw, bottles = scene.held, scene["tray"].pose.yaw, loose_objects(scene)
         if held is not None:
             rotation = wrap_angle(yaw - scene.robot.pose.yaw, math.pi / 2.0)
-            spot = self._most_free(scene, [obj for obj in bottles if obj is not held])
-            goal = place_pose(scene, held, spot.position, spot.z + RELEASE, rotation)
+            others = [obj for obj in bottles if obj is not held]
+            spot = most_free(map(scene["tray"].pose.transform, SPOTS), others)
+            goal = place_pose(scene, held, spot, spot[2] + RELEASE, rotation)
             yield Waypoint(goal, CLOSED, finish=OPEN)
             return
         obj = next((obj for obj in bottles if not self._is_in_tray(scene, obj)), bottles[0])
@@ -286,17 +292,3 @@ class BottleArrangement(Task):
     def _is_in_tray(self, scene: Scene, obj: SceneObject) -> bool:
         tray = scene["tray"]
         return inside(obj, tray) and upright(obj) and obj is not scene.held and touching(scene, tray, obj)
-
-    def _most_free(self, scene: Scene, others: list[SceneObject]) -> Pose:
-        """Return the position in the tray, in the world, with the largest distance to other bottles."""
-        points = [obj.pose.position for obj in others]
-        x, y = TRAY[0] / COLUMNS, TRAY[1] / ROWS
-        grid = [
-            Pose((x * (column - (COLUMNS - 1) / 2.0), y * (row - (ROWS - 1) / 2.0), containers.TRAY_FLOOR))
-            for column in range(COLUMNS)
-            for row in range(ROWS)
-        ]
-        spots = [scene["tray"].pose.compose(position) for position in grid]
-        return max(
-            spots, key=lambda spot: min((planar_distance(spot.position, p) for p in points), default=0.0)
-        )

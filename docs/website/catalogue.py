@@ -2,12 +2,12 @@
 
 import inspect
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from bulletarm_gym.registry import COMPOSED, ENTRIES, OWN, Entry, load
+from bulletarm_gym.registry import COMPOSED, ENVIRONMENTS, NAMESPACE, OWN, load
 from bulletarm_gym.tasks import Task
 from website.docstrings import LABEL, LABELS
 
@@ -27,20 +27,21 @@ WORD = re.compile(r"(?<=[a-z])(?=[A-Z0-9])")
 class Shown:
     """An environment with a page.
 
-    :param entry: components of the environment
+    :param kwargs: names or import paths of its components
     """
 
-    entry: Entry
+    env_id: str
+    kwargs: Mapping[str, Any]
 
     @property
     def name(self) -> str:
         """Id without namespace and version, the name of the page."""
-        return self.entry.name
+        return self.env_id.removeprefix(f"{NAMESPACE}/").removesuffix("-v0")
 
     @property
     def image(self) -> str:
         """Prefix of the names of the image files."""
-        return self.entry.env_id.rpartition("/")[2]
+        return self.env_id.rpartition("/")[2]
 
     @property
     def stem(self) -> str:
@@ -50,8 +51,8 @@ class Shown:
     @property
     def setting(self) -> str:
         """Control and surface in words; the flat surface is omitted."""
-        surface = "" if self.entry.surface == "flat" else f" on {self.entry.surface}s"
-        return CONTROL_NAMES[self.entry.control] + surface
+        surface = self.kwargs["surface"]
+        return CONTROL_NAMES[self.kwargs["control"]] + ("" if surface == "flat" else f" on {surface}s")
 
     @property
     def title(self) -> str:
@@ -61,7 +62,7 @@ class Shown:
     @cached_property
     def task(self) -> type[Task]:
         """Class of the task."""
-        return load(self.entry.task)  # type: ignore[no-any-return]
+        return load(self.kwargs["task"])  # type: ignore[no-any-return]
 
     @property
     def group(self) -> str:
@@ -72,9 +73,9 @@ class Shown:
     @property
     def origin(self) -> str:
         """Source of the task."""
-        if self.entry in OWN:
+        if self.env_id in OWN:
             return "not in the paper"
-        if self.entry in COMPOSED:
+        if self.env_id in COMPOSED:
             return "a task of the paper with another control or surface"
         return "in the paper"
 
@@ -92,7 +93,7 @@ class Shown:
         return {label: found[label] for label in LABELS if label in found}
 
 
-SHOWN = tuple(map(Shown, ENTRIES))
+SHOWN = tuple(Shown(env_id, kwargs) for env_id, kwargs in ENVIRONMENTS.items())
 """All environments, in the order of their table."""
 
 

@@ -34,7 +34,7 @@ observation, reward, terminated, truncated, info = env.step(action)
 
 def page(one: Shown) -> str:
     """Return the Markdown of the page of an environment."""
-    env = gymnasium.make(one.entry.env_id)
+    env = gymnasium.make(one.env_id)
     base: ManipulationEnv = env.unwrapped  # type: ignore[assignment]
     text = "".join(_parts(one, base))
     env.close()
@@ -44,7 +44,7 @@ def page(one: Shown) -> str:
 def _parts(one: Shown, env: ManipulationEnv) -> Iterable[str]:
     title = f"{one.title}, {one.setting}"
     yield f"---\ntitle: {title}\ndescription: {one.summary}\n---\n\n# {title}\n\n"
-    yield f"{one.summary}\n\n" + SNIPPET.format(env_id=one.entry.env_id)
+    yield f"{one.summary}\n\n" + SNIPPET.format(env_id=one.env_id)
     yield _images(one, "", "at the start and solved") + "\n" + _identity(one, env) + "\n"
     yield section("Task", *(f"**{label}:** {text}" for label, text in one.facts.items()))
     yield section("Observation", _observation(env), *_heightmaps(one))
@@ -66,13 +66,13 @@ def _heightmaps(one: Shown) -> Sequence[str]:
 
 
 def _identity(one: Shown, env: ManipulationEnv) -> str:
-    control = one.entry.control
+    control = one.kwargs["control"]
     others = [f"[{other.title}, {other.setting}]({other.name}.md)" for other in relatives(one)]
     path = f"{one.task.__module__}.{one.task.__qualname__}"
     lines = {
-        "Id": f"`{one.entry.env_id}`",
+        "Id": f"`{one.env_id}`",
         "Control": f"[{CONTROL_NAMES[control]}](../environments.md#{control.replace('_', '-')})",
-        "Surface": f"[{one.entry.surface}](../environments.md#surfaces)",
+        "Surface": f"[{one.kwargs['surface']}](../environments.md#surfaces)",
         "Source": one.origin,
         "Reward": "1 on success, else 0 ([sparse](../environments.md))",
         "End of an episode": _ends(one, env),

@@ -222,16 +222,16 @@ SEQUENCES = {
 
 @pytest.mark.parametrize("name", SEQUENCES)
 def test_benchmarks_have_the_papers_numbers(name):
-    benchmark, entries = BENCHMARKS[name], {entry.env_id: entry for entry in PAPER}
+    benchmark = BENCHMARKS[name]
     rotates = "r" in SEQUENCES[name]
     assert (benchmark.action_sequence, benchmark.random_orientation) == (SEQUENCES[name], rotates)
     for row in benchmark.environments:
         assert row.expert_episodes == next(count for word, count in EPISODES.items() if word in row.env_id)
         size = 40 if "Bump" in row.env_id else 24 if "OpenLoop" in row.env_id else None
         assert benchmark.make_kwargs(row).get("in_hand_size") == size
-        entry = entries[row.env_id]
-        context = Context(entry.control, load(entry.task).defaults, entry.surface)
-        config = EnvConfig.of(context, benchmark.make_kwargs(row), entry.defaults)
+        kwargs = PAPER[row.env_id]
+        context = Context(kwargs["control"], load(kwargs["task"]).defaults, kwargs["surface"])
+        config = EnvConfig.of(context, benchmark.make_kwargs(row), kwargs.get("defaults"))
         assert (config.num_objects, config.max_steps) == (row.num_objects, row.max_steps)
         assert row.optimal_steps <= row.max_steps
 

@@ -16,7 +16,7 @@ from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.geometry import Pose
 from bulletarm_gym.objects import cube
 from bulletarm_gym.objects.containers import CORNER_INSIDE
-from bulletarm_gym.registry import ENTRIES, TASKS
+from bulletarm_gym.registry import ENVIRONMENTS, TASKS
 from bulletarm_gym.scene import scaled
 from bulletarm_gym.scene.predicates import loose_objects, touching
 from bulletarm_gym.scene.sampling import footprint
@@ -174,7 +174,7 @@ def test_drawer_is_open_beyond_15_cm(make):
 
 
 def test_built_in_tasks_have_several_instructions_of_their_own():
-    tasks = {entry.task: TASKS.find(entry.task) for entry in ENTRIES}
+    tasks = {kwargs["task"]: TASKS.find(kwargs["task"]) for kwargs in ENVIRONMENTS.values()}
     own = {task.__name__: task.instructions for task in tasks.values()}
     assert own.pop("OpenLoopObjectGrasping") == own["ObjectGrasping"]
     assert all(len(sentences) > 1 for sentences in own.values())

@@ -95,7 +95,7 @@ PICKING = "CloseLoopBlockPicking"
 
 
 def test_every_environment_has_images_and_a_page_in_navigation_and_gallery():
-    assert [one.entry.env_id for one in SHOWN] == list(bulletarm_gym.ENV_IDS)
+    assert [one.env_id for one in SHOWN] == list(bulletarm_gym.ENV_IDS)
     folder = ROOT / "docs" / "images" / "tasks"
     wanted = {f"{one.image}{suffix}.webp" for one in SHOWN for suffix in ("", "-heightmap")}
     assert {path.name for path in folder.iterdir()} == wanted
@@ -115,7 +115,7 @@ def test_pages_of_all_environments():
         text = task_page.page(shown)
         heads = re.findall(r"^## (.*)$", text, re.MULTILINE)
         assert heads[:4] == ["Task", "Observation", "Action", "Parameters"]
-        assert shown.entry.env_id in text and ":class:" not in text and ":attr:" not in text, name
+        assert shown.env_id in text and ":class:" not in text and ":attr:" not in text, name
         for target in re.findall(r"\]\(([\w./-]+)(?:#[\w-]+)?\)", text):
             exists = (ROOT / "docs" / "tasks" / target).resolve().exists()
             assert exists or target.removesuffix(".md") in BY_NAME, target
