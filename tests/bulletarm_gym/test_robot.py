@@ -225,16 +225,16 @@ def test_gripper_holds_a_cube_until_it_opens(make, model):
 
 def test_torques_agree_with_the_simulator(armed, robot):
     """Bullet's inverse dynamics counts the fingers where they are, ours at the tool."""
-    world, slots = armed.scene.world, list(robot._arm.joints)
+    world, joints = armed.scene.world, list(robot._arm.joints)
     rng, count = np.random.default_rng(0), len(robot.body.joints)
     for _ in range(10):
         positions, rates, accelerations = np.array(world.joints[robot.body.index]), *np.zeros((2, count))
-        positions[slots] += rng.uniform(-0.3, 0.3, len(slots))
-        rates[slots], accelerations[slots] = rng.uniform((-1.0, -5.0), (1.0, 5.0), (len(slots), 2)).T
+        positions[joints] += rng.uniform(-0.3, 0.3, len(joints))
+        rates[joints], accelerations[joints] = rng.uniform((-1.0, -5.0), (1.0, 5.0), (len(joints), 2)).T
         motion = (positions, rates, accelerations)
         expected = world.client.calculateInverseDynamics(robot.body.id, *(part.tolist() for part in motion))
-        torques = robot.dynamics.torques(*(part[slots] for part in motion))
-        assert torques == pytest.approx(np.array(expected)[slots], abs=0.1)
+        torques = robot.dynamics.torques(*(part[joints] for part in motion))
+        assert torques == pytest.approx(np.array(expected)[joints], abs=0.1)
 
 
 PAGE = Path(__file__).parents[2] / "docs" / "guides" / "robot.md"
