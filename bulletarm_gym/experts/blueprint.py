@@ -110,7 +110,9 @@ class Blueprint:
         free = {kind: [block for block in same if block is not scene.held] for kind, same in flat.items()}
         base = self.layers[0][:width]
         kinds = dict.fromkeys(position.kind for position in base)
-        ground = {kind: [block for block in free[kind] if predicates.on_site(scene, block)] for kind in kinds}
+        ground = {
+            kind: [block for block in free[kind] if predicates.on_ground(scene, block)] for kind in kinds
+        }
         for chosen in permutations([block for same in ground.values() for block in same], width):
             placed: Placed = {}
             for position, block in zip(base, chosen, strict=True):

@@ -107,6 +107,8 @@ class Builder:
         if position.layer > 0:
             frame = self._support(position, placed)
             return planar_distance(block.pose.position, frame.position) < self._blueprint.side / 2.0
+        if not predicates.on_site(self._scene, block):
+            return False
         if position.place == 0:
             return True
         before = list(placed.values())

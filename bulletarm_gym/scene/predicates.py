@@ -59,10 +59,14 @@ def on_surface(scene: Scene, obj: SceneObject) -> bool:
     return any(world.are_near(obj.body, body, TOUCHING) for body in bodies)
 
 
+def on_ground(scene: Scene, obj: SceneObject) -> bool:
+    """Return True if the lowest point of an object is at the height of the level ground for structures."""
+    return abs(obj.lowest - scene.surface.level) <= TOUCHING
+
+
 def on_site(scene: Scene, obj: SceneObject) -> bool:
-    """Return True if an object stands on the level part of the surface where structures are built."""
-    level = abs(obj.lowest - scene.surface.level) <= TOUCHING
-    return level and scene.surface.fits_site(footprint(obj).grown(-TOUCHING))
+    """Return True if a whole object is on the level ground for structures."""
+    return on_ground(scene, obj) and scene.surface.fits_site(footprint(obj).grown(-TOUCHING))
 
 
 def rests_on(scene: Scene, bottom: SceneObject, top: SceneObject) -> bool:

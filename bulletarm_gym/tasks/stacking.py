@@ -51,7 +51,7 @@ class Structure(Task):
     Description: the structure's blocks lie on the surface.
     Randomisation: positions and yaws of the blocks, at least 4.2 cm between any two.
     Success: every block lies on the blocks below it (see :mod:`~bulletarm_gym.scene.predicates`), the lowest
-    on level ground. A block over two or more is less than a cube's side from their middle. A long block is
+    touch level ground. A block over two or more is less than a cube's side from their middle. A long block is
     also within pi/7 of their line and tilted by less than 20 degrees. The gripper is empty and nothing moves.
     Validity: no triangle and no roof (:attr:`upright`) has fallen over, because the gripper cannot right it.
     Expert: add the next block, from the surface up. Blocks that obstruct the structure are put aside first.

@@ -201,7 +201,18 @@ def test_poses_of_one_cube(cubes):
     assert not are.at_rest(cubes)
 
 
+def test_a_block_at_the_edge_of_a_ramp_is_on_the_ground_but_not_on_the_site(make):
+    scene = make(RAMP, seed=0).scene
+    ramp, cube = scene.surface.ramps[0], scene.objects[0]
+    for distance, expected in ((-0.01, (True, False)), (-0.03, (True, True)), (0.1, (False, False))):
+        x, y = np.add(ramp.edge[:2], distance * np.array(ramp.uphill[:2]))
+        cube.place(scene.surface.lay(cube.spec, (x, y), 0.0))
+        assert (are.on_ground(scene, cube), are.on_site(scene, cube)) == expected, distance
+
+
 ROOF = {**PAIR, "roof": (0.0, CUBE)}
+BORDER = 0.645
+"""x (m) of cubes whose centres are in the workspace, but not their sides."""
 UPPER = {"cube_2": (-0.03, 2 * CUBE), "cube_3": (0.03, 2 * CUBE), "roof": (0.0, 3 * CUBE)}
 FOUR_LAYERS = {**PAIR, "brick": (0.0, CUBE), **UPPER}
 
@@ -217,6 +228,7 @@ def test_success_of_a_house(make):
         (HOUSE_2, {**ROOF, "roof": (0.0, CUBE + 0.004)}, False),
         (HOUSE_2, {**ROOF, "cube_1": (-0.025, 0.0, CENTRE, 0.5), "cube_0": (0.025, 0.0, CENTRE, 2.0)}, True),
         (HOUSE_2, {**ROOF, "cube_0": (0.0, 0.0), "cube_1": (0.1, 0.0)}, False),
+        (HOUSE_2, {name: (y, low, BORDER, 0.0) for name, (y, low) in ROOF.items()}, True),
         (HOUSE_4, FOUR_LAYERS, True),
         (HOUSE_4, {**FOUR_LAYERS, "cube_0": (-0.03, 2 * CUBE), "cube_2": (-0.025, 0.0)}, True),
         (HOUSE_4, {**FOUR_LAYERS, "cube_3": (0.1, 0.0)}, False),
