@@ -34,6 +34,7 @@ AGENTS = {f"{task_name(card.env)}-{card.label}": card for card in published_agen
 GOALS = dict.fromkeys(("CloseLoopBlockStacking", "CloseLoopHouseBuilding", "CloseLoopObjectGrasping"), 0.85)
 GOALS |= dict.fromkeys(("OpenLoopHouseBuilding4", "OpenLoopImproviseHouseBuilding3"), 0.8)
 GOALS |= dict.fromkeys(("OpenLoopCovidTest", "OpenLoopObjectGrasping", "OpenLoopRampHouseBuilding3"), 0.8)
+GOALS |= {"OpenLoopRampImproviseHouseBuilding3": 0.8, "OpenLoopBumpBoxPalletizing": 0.7}
 ONE, ALL = 1_200_000, 10_000_000  # bytes
 FEW = 4  # episodes
 UNLIKELY = 1e-4
