@@ -96,24 +96,26 @@ CloseLoopObjectGrasping 5 7 50 100
 """Environments of the paper's Close-Loop 3D and 4D Benchmarks."""
 
 
+def _environment(row: str, in_hand_size: int | None) -> BenchmarkEnv:
+    name, *numbers = row.split()
+    objects, optimal, most, episodes = map(int, numbers)
+    return BenchmarkEnv(f"{NAMESPACE}/{name}-v0", objects, optimal, most, episodes, in_hand_size)
+
+
 def _environments(table: str, in_hand_size: int | None = None) -> tuple[BenchmarkEnv, ...]:
-    found = []
-    for row in table.strip().splitlines():
-        name, *numbers = row.split()
-        objects, optimal, most, episodes = map(int, numbers)
-        env_id = f"{NAMESPACE}/{name}-v0"
-        found.append(BenchmarkEnv(env_id, objects, optimal, most, episodes, in_hand_size))
-    return tuple(found)
+    return tuple(_environment(row, in_hand_size) for row in table.strip().splitlines())
 
 
 _BASIC, _DELTA = _environments(OPEN_LOOP, IN_HAND), _environments(CLOSE_LOOP)
 _SLOPING = _environments(RAMP, IN_HAND) + _environments(BUMP, BUMP_IN_HAND)
-_ALL = (
-    Benchmark("open_loop_2d", _BASIC, "pxy", random_orientation=False),
-    Benchmark("open_loop_3d", _BASIC, "pxyr", random_orientation=True),
-    Benchmark("open_loop_6d", _SLOPING, "pxyzrrr", random_orientation=True),
-    Benchmark("close_loop_3d", _DELTA, "pxyz", random_orientation=False),
-    Benchmark("close_loop_4d", _DELTA, "pxyzr", random_orientation=True),
-)
-BENCHMARKS: Mapping[str, Benchmark] = {benchmark.name: benchmark for benchmark in _ALL}
+
+open_loop_2d = Benchmark("open_loop_2d", _BASIC, "pxy", False)
+open_loop_3d = Benchmark("open_loop_3d", _BASIC, "pxyr", True)
+open_loop_6d = Benchmark("open_loop_6d", _SLOPING, "pxyzrrr", True)
+close_loop_3d = Benchmark("close_loop_3d", _DELTA, "pxyz", False)
+close_loop_4d = Benchmark("close_loop_4d", _DELTA, "pxyzr", True)
+
+BENCHMARKS: Mapping[str, Benchmark] = {
+    made.name: made for made in (open_loop_2d, open_loop_3d, open_loop_6d, close_loop_3d, close_loop_4d)
+}
 """All benchmarks, by name."""
