@@ -285,6 +285,10 @@ class EnvConfig:
         """Return the control's parameters by name, as JSON values."""
         return {name: value for name, value in asdict(self).items() if belongs(name, self.control)}
 
+    def changed(self, default: "EnvConfig", effect: Effect) -> list[str]:
+        """Return the names of the parameters with an effect whose values differ from other ones."""
+        return [name for name in with_effect(effect) if getattr(self, name) != getattr(default, name)]
+
     @property
     def sensors(self) -> list[tuple[str, str, dict[str, Any]]]:
         """Observed sensors: the name, the sensor (its name or import path), and its parameters."""

@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 from numpy.typing import ArrayLike, NDArray
 
-from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, PROGRESS, Context, EnvConfig, with_effect
+from bulletarm_gym.config import CLOSE_LOOP, PROGRESS, Context, EnvConfig
 from bulletarm_gym.config_checks import check_argument, instance, instances, mapping, optional
 from bulletarm_gym.control import Control, GraspParams, RobotInterface
 from bulletarm_gym.episode import AFTER_ACTION, ARRANGEMENT, PLAN, Episode
@@ -91,8 +91,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         check_argument("defaults", defaults, optional(mapping))
         self.config = EnvConfig.of(context, parameters, defaults)
         default = EnvConfig.of(context, {}, defaults)
-        names = with_effect("scene")
-        self._changed = [name for name in names if getattr(self.config, name) != getattr(default, name)]
+        self._changed = self.config.changed(default, "scene")
         self.recipe: dict[str, Any] = {"task": task, "control": control, "surface": surface}
         self.recipe |= {"defaults": dict(defaults)} if defaults else {}
         self.render_mode = self.config.render_mode
@@ -128,10 +127,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         robot = RobotInterface(self.scene.robot, self.scene.settle)
         self.control: Control[Any] = control_type(self.config, robot, params)
         self._episode = Episode(self.task, self.scene, self.control)
-        # Tasks for both controls plan only picks and places. Closed-loop control adds the path.
-        plans_moves = OPEN_LOOP in self.task.controls
-        self.tracker = Tracker(self.control, self.scene, params.opening if plans_moves else None)
-        self._plan_steps = PLAN_STEPS if plans_moves and self.config.control == CLOSE_LOOP else 1
+        self.tracker = Tracker(self.control, self.scene, params.opening if self.task.plans_moves else None)
         rng = partial(self._episode.rng, PLAN, 0)
         is_shaped = self.config.reward == PROGRESS
         self._progress = Progress(self.task, self.scene, self.tracker, rng) if is_shaped else None
@@ -141,7 +137,6 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         self.action_ranges = dict(self.control.ranges)
         """Values (m, rad) of -1 and 1 in an action, by name without p; empty for a control without ranges."""
         self._observer = Observer(self.config, self.scene)
-        self._follows = self._observer.follows or control_type.follow is not Control.follow
         self.cameras = self._observer.cameras
         """Cameras by name: ``"render"``, and the cameras of sensors by the names of the sensors."""
         self._view: View | None = None
@@ -209,7 +204,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             raise gymnasium.error.ResetNeeded("the episode has ended. Call reset() before the next step().")
         view = self._view if self._view is not None and self._view.is_current else self.look()
         move = self.control.decode_action(episode.executed(action), view)
-        if self._follows:
+        if self._observer.follows or self.control.follows:
             _ = view.heights  # computed before the move changes the scene
         before = self._progress.at(view) if self._progress else 0.0
         self.scene.begin()
@@ -286,7 +281,8 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         :raises ValueError: the task's plan has no waypoint
         """
         self._episode.check_running()
-        rng = self._episode.rng(PLAN, self._episode.steps // self._plan_steps)
+        lasts = PLAN_STEPS if self.task.plans_moves and self.config.control == CLOSE_LOOP else 1
+        rng = self._episode.rng(PLAN, self._episode.steps // lasts)
         plan = checked_plan(self.task.plan(self.scene, rng))
         return self.control.encode_action(self.tracker.next_move(plan))
 

@@ -180,6 +180,11 @@ class Control(ABC, Generic[Move]):
         :param outcome: result of the move
         """
 
+    @property
+    def follows(self) -> bool:
+        """Whether the control defines :meth:`follow`."""
+        return type(self).follow is not Control.follow
+
     @abstractmethod
     def frame(self) -> Frame:
         """Return the part of the scene that the heightmap shows."""

@@ -103,15 +103,16 @@ def _check_planner(planner: str, env: ManipulationEnv, noise: float) -> None:
 def _follow_plan(env: ManipulationEnv, seed: int, noise: float) -> Episode | None:
     """Run an episode of the task's expert."""
     observation, _ = env.reset(seed=seed)
-    rng = np.random.default_rng((seed, NOISE))
+    return _play(env, seed, observation, _expert_actions(env, np.random.default_rng((seed, NOISE)), noise))
 
-    def actions() -> Iterator[Action]:
-        while True:
-            action = env.expert_action()
+
+def _expert_actions(env: ManipulationEnv, rng: np.random.Generator, noise: float) -> Iterator[Action]:
+    while True:
+        action = env.expert_action()
+        if noise:
             noisy = action + noise * rng.standard_normal(action.shape)
-            yield noisy.clip(-1.0, 1.0).astype(np.float32)
-
-    return _play(env, seed, observation, actions())
+            action = noisy.clip(-1.0, 1.0).astype(np.float32)
+        yield action
 
 
 def _rebuild(env: ManipulationEnv, seed: int, noise: float) -> Episode | None:

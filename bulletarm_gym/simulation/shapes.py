@@ -81,7 +81,9 @@ class Piece:
 PIECES = instances(Piece, "pieces")
 """Check of the pieces of a body."""
 AXIS = rule("a unit vector", lambda v: abs(math.hypot(*v) - 1.0) < UNIT_TOLERANCE, numbers(count=3))
+"""Check of the axis of a joint."""
 LIMITS = rule("[low, high] in ascending order", lambda ends: ends[0] <= ends[1], numbers(count=2))
+"""Check of the limits of a joint."""
 FRICTIONS = ("friction", "rolling_friction", "spinning_friction")
 """Names of the friction coefficients of a body."""
 

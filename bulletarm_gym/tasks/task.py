@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults, default_home_height
+from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, EnvConfig, TaskDefaults, default_home_height
 from bulletarm_gym.config_checks import ParameterError, check_argument, instances, truth
 from bulletarm_gym.control import Control, GraspParams
 from bulletarm_gym.experts import Waypoint
@@ -91,6 +91,11 @@ class Task(ABC):
     def height(self) -> float:
         """Height (m) to which objects must be lifted; by default that of a largest cube."""
         return CUBE_SIZE * max(self.config.scales)
+
+    @property
+    def plans_moves(self) -> bool:
+        """Whether the plan has only picks and places, to which closed-loop control adds the path."""
+        return OPEN_LOOP in self.controls
 
     @abstractmethod
     def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
