@@ -48,7 +48,17 @@ def parse_urdf(path: Path) -> Element:
     for element in list(root.iter()):
         element.attrib = {name: value for name, value in element.attrib.items() if ":" not in name}
         element[:] = [child for child in element if ":" not in child.tag]
+    _check_cycles(root)
     return root
+
+
+def _check_cycles(root: Element) -> None:
+    """Raise ValueError if a link is attached to itself by joints."""
+    parents = {end_of(joint, "child"): end_of(joint, "parent") for joint in root.findall("joint")}
+    while top := [link for link, parent in parents.items() if parent not in parents]:
+        parents = {link: parent for link, parent in parents.items() if link not in top}
+    if parents:
+        raise ValueError(f"joints must form a tree, got links in or below a cycle: {', '.join(parents)}")
 
 
 def read_urdf(path: str | PathLike[str], check_meshes: bool = True) -> Element:

@@ -206,6 +206,14 @@ def test_meshes_of_a_folder_are_found(tmp_path, monkeypatch):
         read_urdf(file)
 
 
+def test_cycle_of_joints_is_refused(tmp_path):
+    root = KUKA.load()
+    add_joint(root, "fixed", "back", ("lbr_iiwa_link_5", "lbr_iiwa_link_3"), ORIGIN, (0.0, 0.0, 1.0))
+    (file := tmp_path / "arm.urdf").write_text(to_text(root))
+    with pytest.raises(ValueError, match=r"cycle: .*lbr_iiwa_link_5"):
+        read_urdf(file)
+
+
 def reversed_finger(root):
     """Let one finger open along the negative direction of its axis."""
     put(FINGERS[0], "axis", xyz="-2 0 0")(root)
