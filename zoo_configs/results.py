@@ -1,6 +1,7 @@
 """Results of many runs: experiments, success by seed, and tables."""
 
 import json
+import re
 import sys
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
@@ -87,7 +88,7 @@ def read_experiments(
     :param baselines: Baselines, None for all
     :param seeds: Seeds, None for all
     :param device: Value of ``--device`` of the runs, None for all
-    :return: The experiments, sorted by environment and label
+    :return: The experiments, sorted by environment and label, numbers by value
     :raises CommandError: if no run fits
     """
     groups: defaultdict[str, list[Run]] = defaultdict(list)
@@ -103,7 +104,13 @@ def read_experiments(
     settings = [settings_of(runs[0]) for runs in groups.values()]
     pairs = zip(settings, groups.values(), strict=True)
     found = [ExperimentResults(own["env"], _label(own, settings), _by_seed(runs)) for own, runs in pairs]
-    return sorted(found, key=lambda one: (one.env_id, one.label))
+    return sorted(found, key=_order)
+
+
+def _order(experiment: ExperimentResults) -> tuple[str, list[str | int]]:
+    """Return the sort key of an experiment; numbers in labels have their numeric order."""
+    words = re.split(r"(\d+)", experiment.label)
+    return experiment.env_id, [int(word) if word.isdecimal() else word for word in words]
 
 
 def _by_seed(runs: Iterable[Run]) -> dict[int, Result]:

@@ -139,6 +139,13 @@ def test_runs_of_other_settings_are_other_experiments(tmp_path):
         assert sum(label in experiment.label for experiment in read_experiments(tmp_path)) == 1
 
 
+def test_experiments_are_in_the_order_of_their_numbers(tmp_path):
+    for count in (100, 5, 10):
+        add_run(tmp_path, REACHING, "sacfd", 0, GOOD, expert_episodes=count)
+    labels = [experiment.label for experiment in read_experiments(tmp_path)]
+    assert labels == [f"sacfd, expert_episodes={count}" for count in (5, 10, 100)]
+
+
 def test_an_equal_run_counts_once(tmp_path, capsys):
     longer = add_run(tmp_path, REACHING, "sacfd", 0, GOOD)
     shorter = add_run(tmp_path, REACHING, "sacfd", 0, GOOD[:2])
