@@ -31,6 +31,7 @@ from expert_tables import (
 )
 from measurements import DATA, Row
 from zoo_configs.drawing.tables import markdown_table
+from zoo_configs.experiments.families import task_name
 from zoo_configs.files import whole_file
 
 BEGIN = r"(?<!`)<!-- data: "
@@ -200,6 +201,21 @@ def _mean(rates: Sequence[float]) -> str:
     return f"{fmean(rates):.2f} ({values})" if len(rates) > 1 else values
 
 
+def demonstrations_table(source: Source) -> str:
+    """Return the success in the last evaluation over the number of demonstrations."""
+    rows = source.read("demonstrations")
+    tasks: dict[str, dict[int, list[float]]] = {}
+    for row in rows:
+        count, last = int(row["baseline"].rpartition("=")[2]), float(row["evaluations"].rpartition(":")[2])
+        tasks.setdefault(row["env"], {}).setdefault(count, []).append(last)
+    counts = sorted({count for rates in tasks.values() for count in rates})
+    lines = [
+        [f"`{task_name(env)}`", *(_mean(rates.get(count, [])) for count in counts)]
+        for env, rates in tasks.items()
+    ]
+    return source.table("demonstrations", ["task", *map(str, counts)], lines, rows)
+
+
 def _date(run: Row) -> str:
     return ", ".join(part for part in (run["commit"], run["date"]) if part)
 
@@ -227,6 +243,7 @@ FIGURES: dict[str, Callable[[Source], str]] = {
     "results, in short": results_summary,
     "results, close loop": partial(results_table, preset="cpu", tasks="CloseLoop*"),
     "results, open loop": partial(results_table, preset="cpu", tasks="OpenLoop*"),
+    "demonstrations": demonstrations_table,
     "results, many demonstrations": partial(results_table, preset="quick", tasks="CloseLoop*"),
 }
 """Functions that return the text of a place, by name."""
