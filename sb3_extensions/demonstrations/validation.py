@@ -60,13 +60,13 @@ def _validate_episode(episode: EpisodeData, env: VecEnv, number: int) -> None:
     n_steps = len(np.atleast_1d(_as_array("actions", episode.actions, number)))
     if n_steps == 0:
         raise ValueError(f"expert_data must have at least one step in an episode, got 0 in episode {number}")
-    for key, entry in entries.items():
-        _check(f"observations[{key!r}]", observations[key], n_steps + 1, entry, number)
     columns = {"actions": env.action_space, "rewards": REWARD_SPACE, "terminations": TERMINATION_SPACE}
     if getattr(episode, "expert_actions", None) is not None:
         columns["expert_actions"] = env.action_space
     for name, part_space in columns.items():
         _check(name, getattr(episode, name), n_steps, part_space, number)
+    for key, entry in entries.items():
+        _check(f"observations[{key!r}]", observations[key], n_steps + 1, entry, number)
     if early := np.flatnonzero(episode.terminations[:-1]).tolist():
         raise ValueError(
             "expert_data must have terminations at the last step of an episode only, got one at step "

@@ -222,7 +222,10 @@ class ExpertReplayBuffer(ReplayBuffer):
     ) -> None:
         """Mark the steps of a successful episode."""
         for env, row in enumerate(rows.tolist()):
-            steps = self._episode_rows[env] = [row] if starts[env] else [*self._episode_rows[env], row]
+            steps = self._episode_rows[env]
+            if starts[env]:
+                steps.clear()
+            steps.append(row)
             if done[env]:
                 self.table.columns["succeeded"][steps] = bool(infos[env].get(SUCCESS, False))
 

@@ -124,6 +124,7 @@ def test_at_most_twelve_additions_and_all_off():
         ({"augmentation": {"rad": {"size": 16}}}, "16 x 16"),
         ({"train_freq": 0}, "train_freq .* n_envs=1"),
         ({"learner": TQCfD, "top_quantiles_to_drop_per_net": 25}, "top_quantiles_to_drop_per_net"),
+        ({"learner": TQCfD, "policy": SAC.policy_aliases["MultiInputPolicy"]}, "n_quantiles=1, got 2"),
         ({"learner": FERM, "augmentation": None}, "augmentation .* got None"),
         ({"learner": FERM, "contrastive_steps": 0.5}, "contrastive_steps .* integer .* got 0.5"),
         ({"learner": FERM, "encoder_tau": 0.0}, "encoder_tau .* got 0.0"),
