@@ -250,10 +250,10 @@ def _own_generators(model: BaseAlgorithm) -> dict[str, th.Generator]:
 
 
 def _env_state(env: VecEnv) -> dict[str, Any]:
-    """Return the states of the environments, None without ``get_state()``, and of their wrappers."""
+    """Return the states of the environments, None if they have none, and of their wrappers."""
     return {
         "num_envs": env.num_envs,
-        "envs": env.env_method("get_state") if env.has_attr("get_state") else None,
+        "envs": env.env_method("get_state") if all(map(env.has_attr, ("get_state", "set_state"))) else None,
         "wrappers": {name: env.get_attr(name) for name in WRAPPER_STATE if env.has_attr(name)},
         "vec_wrappers": [
             {name: vars(wrapper)[name] for name in VEC_WRAPPER_STATE if name in vars(wrapper)}

@@ -40,10 +40,13 @@ def collect_episodes(
     :param seed: seed of the generator of the attempts' seeds and of the transformation
     :param progress_bar: whether to show progress, by default on a terminal
     :param action_transform: transformation of the expert's actions before they are executed
-    :raises ValueError: if the environment has no expert or no ``is_success``
+    :raises ValueError: if there are several environments, or the environment has no expert or no
+        ``is_success``
     :raises RuntimeError: if too few attempts succeeded
     """
     vec_env = env if isinstance(env, VecEnv) else DummyVecEnv([lambda: env])
+    if vec_env.num_envs > 1:
+        raise ValueError(f"env must be one environment, got a vector environment of {vec_env.num_envs}")
     if not vec_env.has_attr("expert_action"):
         raise ValueError(
             f"env must have expert_action(), got {vec_env.get_attr('unwrapped')[0]}. Pass "

@@ -60,9 +60,16 @@ def _count_specs(specs: list[Any]) -> dict[int, int]:
     """Return the number of environments of each spec, by its first index. Missing specs count separately."""
     counts: dict[int, int] = {}
     for index, spec in enumerate(specs):
-        first = next((other for other in counts if spec is not None and specs[other] == spec), index)
+        first = next((other for other in counts if spec is not None and _is_same(specs[other], spec)), index)
         counts[first] = counts.get(first, 0) + 1
     return counts
+
+
+def _is_same(spec: Any, other: Any) -> bool:
+    try:
+        return bool(spec == other)
+    except ValueError:  # of arrays in the arguments
+        return False
 
 
 def _copy(env: AnyEnv) -> AnyEnv:

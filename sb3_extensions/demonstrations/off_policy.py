@@ -62,7 +62,9 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
     def _check_demonstrations(self) -> None:
         source = self._demonstrations()
         check_integer(0, pretrain_steps=self.pretrain_steps)
+        check_integer(0, learning_starts=self.learning_starts)
         check_integer(1, batch_size=self.batch_size, buffer_size=self.buffer_size)
+        check_integer(-1, gradient_steps=self.gradient_steps)
         check_fraction(gamma=self.gamma, tau=self.tau)
         if self.pretrain_steps and source.is_empty:
             raise ValueError(
@@ -70,8 +72,8 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
                 f"got {self.pretrain_steps}"
             )
         buffer_class = self.replay_buffer_class
-        if buffer_class is None or not issubclass(buffer_class, ExpertReplayBuffer):
-            raise ValueError(f"replay_buffer_class must be an ExpertReplayBuffer, got {buffer_class}")
+        if not (isinstance(buffer_class, type) and issubclass(buffer_class, ExpertReplayBuffer)):
+            raise ValueError(f"replay_buffer_class must be an ExpertReplayBuffer, got {buffer_class!r}")
         for name in self.replay_buffer_kwargs.keys() & self.own_buffer_arguments:
             raise ValueError(f"{name} must be an argument of the algorithm, not of replay_buffer_kwargs")
 
@@ -106,8 +108,9 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         # The paper's targets do not bootstrap from truncated episodes (the authors' code).
         defaults: dict[str, Any] = {"handle_timeout_termination": False}
         extractor_kwargs = self.policy_kwargs.get("features_extractor_kwargs") or {}
-        if quantise := self.policy_kwargs.get("quantise", extractor_kwargs.get("quantise")):
-            defaults["image_dtype"] = quantise
+        for kwargs in (extractor_kwargs, self.policy_kwargs):
+            if "quantise" in kwargs:
+                defaults["image_dtype"] = kwargs["quantise"]
         return defaults
 
     def _get_policy_from_name(self, policy_name: str) -> type[BasePolicy]:
@@ -120,8 +123,8 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         Set the buffer's discount, which can have changed, and check the arguments before any work.
 
         :raises ValueError: if ``train_freq`` does not fit the number of environments, a loaded buffer has
-            other spaces or another number of environments, buffer and policy round images differently, or
-            the environment normalises images that the policy rounds
+            another class, other spaces or another number of environments, buffer and policy round images
+            differently, or the environment normalises images that the policy rounds
         """
         assert isinstance(self.train_freq, TrainFreq)
         frequency, unit = self.train_freq
@@ -130,7 +133,8 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
                 "train_freq must be positive, and a number of steps with several environments, got "
                 f"({frequency}, {unit.value!r}) with n_envs={self.n_envs}"
             )
-        assert isinstance(self.replay_buffer, ExpertReplayBuffer), "You must load an ExpertReplayBuffer"
+        if not isinstance(self.replay_buffer, ExpertReplayBuffer):
+            raise ValueError(f"replay_buffer must be an ExpertReplayBuffer, got {self.replay_buffer!r}")
         for name in ("observation_space", "action_space", "n_envs"):
             if (stored := getattr(self.replay_buffer, name)) != (own := getattr(self, name)):
                 raise ValueError(f"{name} of the buffer must be {own}, got {stored}")

@@ -4,6 +4,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv
 
@@ -41,6 +42,12 @@ def validate_episodes(data: Iterable[EpisodeData], env: VecEnv) -> Iterator[Epis
 
 
 def _validate_episode(episode: EpisodeData, env: VecEnv, number: int) -> None:
+    for name in ("observations", "actions", "rewards", "terminations"):
+        if not hasattr(episode, name):
+            raise ValueError(
+                f"expert_data must have episodes with the attribute {name!r}, got "
+                f"{type(episode).__name__} in episode {number}"
+            )
     entries, observations = space_parts(env.observation_space), episode.observations
     if not isinstance(env.observation_space, spaces.Dict):
         observations = as_parts(observations)
@@ -50,21 +57,33 @@ def _validate_episode(episode: EpisodeData, env: VecEnv, number: int) -> None:
             f"expert_data must have observations with the keys {sorted(entries)}, got {found} in episode "
             f"{number}"
         )
-    n_steps = len(episode.actions)
+    n_steps = len(np.atleast_1d(_as_array("actions", episode.actions, number)))
     if n_steps == 0:
         raise ValueError(f"expert_data must have at least one step in an episode, got 0 in episode {number}")
-    for key, entry in entries.items():
-        _check(f"observations[{key!r}]", observations[key], n_steps + 1, entry, number)
     columns = {"actions": env.action_space, "rewards": REWARD_SPACE, "terminations": TERMINATION_SPACE}
     if getattr(episode, "expert_actions", None) is not None:
         columns["expert_actions"] = env.action_space
     for name, part_space in columns.items():
         _check(name, getattr(episode, name), n_steps, part_space, number)
+    for key, entry in entries.items():
+        _check(f"observations[{key!r}]", observations[key], n_steps + 1, entry, number)
+    if early := np.flatnonzero(episode.terminations[:-1]).tolist():
+        raise ValueError(
+            "expert_data must have terminations at the last step of an episode only, got one at step "
+            f"{early[0]} of {n_steps} in episode {number}"
+        )
+
+
+def _as_array(name: str, values: Any, number: int) -> npt.NDArray[Any]:
+    try:
+        return np.asarray(values)
+    except ValueError as error:
+        raise ValueError(f"expert_data must have an array of {name} in episode {number}: {error}") from error
 
 
 def _check(name: str, values: Any, length: int, space: spaces.Space[Any], number: int) -> None:
     """Check the shape of an array, and that its values are numbers within the bounds of a Box."""
-    numbers = np.asarray(values)
+    numbers = _as_array(name, values, number)
     shape = (length, *(space.shape or ()))
     if numbers.shape != shape:
         raise ValueError(
@@ -72,6 +91,11 @@ def _check(name: str, values: Any, length: int, space: spaces.Space[Any], number
         )
     if not isinstance(space, spaces.Box):
         return
+    if numbers.dtype.kind not in ("buif" if np.issubdtype(space.dtype, np.floating) else "bui"):
+        raise ValueError(
+            f"expert_data must have {name} of a type that converts to {space.dtype}, got {numbers.dtype} in "
+            f"episode {number}"
+        )
     low, high = space.low.astype(np.float64), space.high.astype(np.float64)
     width = np.where(np.isfinite(high - low), high - low, np.maximum(np.abs(low), np.abs(high)))
     tolerance = RELATIVE_TOLERANCE * np.where(np.isfinite(width), width, 0.0)

@@ -101,10 +101,12 @@ class RandomWindow(Augmentation):
 
     def check(self, space: spaces.Space[Any]) -> None:
         """Check that there are images larger than a window."""
-        sides = [shape[-1] for shape in scene_shapes(space).values()]
-        if not sides or (self.size is not None and min(sides) <= self.size):
-            larger = "" if self.size is None else f" larger than {self.size} x {self.size} pixels"
-            raise ValueError(f"observation_space must have images{larger} for {self}, got {space}")
+        side = scene_side(space)
+        if self.size is not None and side <= self.size:
+            raise ValueError(
+                f"observation_space must have images larger than {self.size} x {self.size} pixels for "
+                f"{self}, got {space}"
+            )
 
     def average_views(self, values: th.Tensor) -> th.Tensor:
         """Return values of one view of each observation unchanged."""
@@ -222,7 +224,14 @@ def scene_keys(parts: TensorDict) -> list[str]:
     return scene_images({key: part.shape[1:] for key, part in parts.items()})
 
 
-def scene_shapes(space: spaces.Space[Any]) -> dict[str, tuple[int, ...]]:
-    """Return the shapes of the images of the scene in an observation space."""
+def scene_side(space: spaces.Space[Any]) -> int:
+    """
+    Return the side (pixels) of the images of the scene in an observation space.
+
+    :raises ValueError: if there are none, or one is not square
+    """
     shapes = {key: part.shape or () for key, part in space_parts(space).items()}
-    return {key: shapes[key] for key in scene_images(shapes)}
+    sides = {side for key in scene_images(shapes) for side in shapes[key][1:]}
+    if len(sides) != 1:
+        raise ValueError(f"observation_space must have images (channels, size, size), got {space}")
+    return sides.pop()

@@ -40,10 +40,11 @@ class ExpertReplayBuffer(ReplayBuffer):
     :param buffer_size: number of rows for the steps of all environments; an episode of n steps occupies n + 1
     :param observation_space: Box space, or Dict space of Box spaces
     :param optimize_memory_usage: must be False, observations are always stored once
-    :param handle_timeout_termination: bootstrap from the last observation of a truncated episode
+    :param handle_timeout_termination: bootstrap from the last observation of a truncated episode, also of an
+        expert episode
     :param n_steps: maximum number of rewards in a return before the bootstrap
     :param gamma: discount factor per step, required if ``n_steps > 1``
-    :param image_dtype: ``"uint8"`` or ``"uint16"``, type of the stored images
+    :param image_dtype: ``"uint8"`` or ``"uint16"``, type of the stored images; None to store them unchanged
     :param sampler: sampler of the steps: ``"uniform"``, ``"shares"``, ``"prioritized"``, one of them with its
         arguments, or an object, see :mod:`sb3_extensions.replay.sampling`
     :param seed: seed of the sampling, None to sample it from NumPy's global generator
@@ -61,7 +62,7 @@ class ExpertReplayBuffer(ReplayBuffer):
         handle_timeout_termination: bool = True,
         n_steps: int = 1,
         gamma: float | None = None,
-        image_dtype: str = "uint8",
+        image_dtype: str | None = "uint8",
         sampler: Any = None,
         seed: int | None = None,
     ) -> None:
@@ -137,7 +138,7 @@ class ExpertReplayBuffer(ReplayBuffer):
         :param observations: n + 1 observations; for a Dict space an array for each key
         :param actions: n executed actions in the policy's units [-1, 1], shape (n, action dimensions)
         :param rewards: n rewards
-        :param terminations: n booleans, True where the episode terminated (not where it was truncated)
+        :param terminations: n booleans, True where the episode terminated; an episode without is truncated
         :param expert_actions: n actions that the expert intended, if they differ from the executed ones
         :raises ValueError: if the buffer is too small, or there are online steps
         """
@@ -146,6 +147,8 @@ class ExpertReplayBuffer(ReplayBuffer):
         n_rows = len(actions) + 1
         self._check_size(self.table.n_pinned + n_rows + MIN_RING * self.n_envs, "the demonstrations")
         intended = actions if expert_actions is None else expert_actions
+        done = np.array(terminations, dtype=bool)
+        done[-1] |= not self.handle_timeout_termination
         rows = self.table.pin(n_rows)
         self.table.write_observations(rows, as_parts(observations))
         self.table.write_steps(
@@ -154,7 +157,7 @@ class ExpertReplayBuffer(ReplayBuffer):
             expert_action=np.reshape(intended, (-1, self.action_dim)),
             succeeded=True,
             reward=rewards,
-            done=terminations,
+            done=done,
         )
         self.expert_size += len(actions)
         self.sampler.update(added=rows[:-1], removed=rows[:0])
@@ -219,7 +222,10 @@ class ExpertReplayBuffer(ReplayBuffer):
     ) -> None:
         """Mark the steps of a successful episode."""
         for env, row in enumerate(rows.tolist()):
-            steps = self._episode_rows[env] = [row] if starts[env] else [*self._episode_rows[env], row]
+            steps = self._episode_rows[env]
+            if starts[env]:
+                steps.clear()
+            steps.append(row)
             if done[env]:
                 self.table.columns["succeeded"][steps] = bool(infos[env].get(SUCCESS, False))
 

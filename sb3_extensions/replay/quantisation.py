@@ -17,16 +17,20 @@ class Quantiser:
 
     :param space: Box with finite bounds, ``low < high`` everywhere
     :param dtype: ``"uint8"`` (256 levels) or ``"uint16"`` (65,536 levels)
-    :raises ValueError: if the bounds are infinite or equal, if their range is too narrow for float32, or for
-        another ``dtype``
+    :raises ValueError: if the bounds are infinite or equal, if their range is too narrow or too wide for
+        float32, or for another ``dtype``
     """
 
     def __init__(self, space: spaces.Box, dtype: str = "uint8") -> None:
         if dtype not in ("uint8", "uint16"):
             raise ValueError(f"dtype must be 'uint8' or 'uint16', got {dtype!r}")
         low, high = space.low.astype(np.float64), space.high.astype(np.float64)
-        if not (np.isfinite(low).all() and np.isfinite(high).all() and (low < high).all()):
-            raise ValueError(f"space must have finite bounds with low < high, got {space}")
+        with np.errstate(over="ignore", invalid="ignore"):
+            width = (high - low).astype(np.float32)
+        if not (np.isfinite(width) & (width > 0)).all():
+            raise ValueError(
+                f"space must have finite bounds with low < high, got {space}. Pass quantise=None to a network"
+            )
         self.dtype = np.dtype(dtype)
         self.levels = int(np.iinfo(self.dtype).max)
         step = (high - low) / self.levels

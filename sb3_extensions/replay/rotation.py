@@ -13,7 +13,7 @@ from torch.nn import functional as F
 from sb3_extensions.common.action_sequence import ActionSequence
 from sb3_extensions.common.components import check_fraction, make_components
 from sb3_extensions.common.observations import KEY, as_parts
-from sb3_extensions.replay.augmentation import RAD, Augmentation, Compose, DrQ, scene_keys, scene_shapes
+from sb3_extensions.replay.augmentation import RAD, Augmentation, Compose, DrQ, scene_keys, scene_side
 from sb3_extensions.replay.samples import ExpertReplayBufferSamples
 
 N_CANDIDATES = 8
@@ -84,9 +84,7 @@ class Rotation(Augmentation):
 
     def check(self, space: spaces.Space[object]) -> None:
         """Check that there are square images to rotate."""
-        shapes = scene_shapes(space).values()
-        if not shapes or any(height != width for _, height, width in shapes):
-            raise ValueError(f"observation_space must have images (channels, size, size), got {space}")
+        scene_side(space)
 
     def __call__(
         self, samples: ExpertReplayBufferSamples, generator: th.Generator

@@ -34,7 +34,7 @@ class StepTable:
     :param n_envs: number of environments
     :param observation_spaces: Box space of each entry of the observations
     :param columns: shape and type of every other column
-    :param image_dtype: type of quantised images, ``"uint8"`` or ``"uint16"``
+    :param image_dtype: type of quantised images, ``"uint8"`` or ``"uint16"``, None to store them unchanged
     :raises ValueError: if an observation space is not a Box
     """
 
@@ -44,7 +44,7 @@ class StepTable:
         n_envs: int,
         observation_spaces: dict[str, spaces.Space[Any]],
         columns: Layout,
-        image_dtype: str = "uint8",
+        image_dtype: str | None = "uint8",
     ) -> None:
         self.capacity, self.n_envs = capacity, n_envs
         self.quantisers: dict[str, Quantiser] = {}
@@ -53,7 +53,8 @@ class StepTable:
             if not isinstance(space, spaces.Box):
                 raise ValueError(f"observation_space must have Box spaces only, got {space} for {key!r}")
             dtype = np.dtype(np.float32) if space.dtype == np.float64 else np.dtype(space.dtype)
-            if np.issubdtype(dtype, np.floating) and len(space.shape) == IMAGE_AXES and space.is_bounded():
+            is_image = np.issubdtype(dtype, np.floating) and len(space.shape) == IMAGE_AXES
+            if image_dtype is not None and is_image and space.is_bounded():
                 self.quantisers[key] = Quantiser(space, image_dtype)
                 dtype = self.quantisers[key].dtype
             self.observation_layout[key] = (space.shape, dtype)

@@ -80,7 +80,7 @@ class SACfDPolicy(SACPolicy):
         def average(averaged: Any, current: Any, n_averaged: Any) -> None:
             th._foreach_lerp_(averaged, current, max(tau, 1 / (int(n_averaged) + 1)))
 
-        self.actor_average = AveragedModel(self.actor, multi_avg_fn=average).requires_grad_(False)
+        self.actor_average = AveragedModel(self.actor, multi_avg_fn=average).requires_grad_(False).eval()
 
     def update_average(self) -> None:
         """Update the average by the actor's weights."""

@@ -9,6 +9,7 @@ from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import GymEnv
 from stable_baselines3.sac.policies import SACPolicy
 
+from sb3_extensions.common.components import check_integer
 from sb3_extensions.sacfd import SACfD
 from sb3_extensions.tqcfd.policies import EquivariantPolicy, MultiInputPolicy, StatePolicy
 
@@ -21,7 +22,7 @@ class TQCfD(SACfD):
 
     :param top_quantiles_to_drop_per_net: number of quantiles to drop per network, of its ``n_quantiles`` (in
         ``policy_kwargs``, 25 by default)
-    :raises ValueError: if all quantiles are dropped
+    :raises ValueError: if all quantiles of the policy's critic are dropped
     """
 
     policy_aliases: ClassVar[dict[str, type[BasePolicy]]] = {
@@ -39,16 +40,22 @@ class TQCfD(SACfD):
         **kwargs: Any,
     ) -> None:
         super().__init__(policy, env, _init_setup_model=False, **kwargs)
-        n_quantiles = self.policy_kwargs.get("n_quantiles", 25)
-        if not 0 <= top_quantiles_to_drop_per_net < n_quantiles:
-            raise ValueError(
-                f"top_quantiles_to_drop_per_net must be at least 0 and less than n_quantiles={n_quantiles}, "
-                f"got {top_quantiles_to_drop_per_net}"
-            )
         self.top_quantiles_to_drop_per_net = top_quantiles_to_drop_per_net
 
         if _init_setup_model:
             self._setup_model()
+
+    def _setup_model(self) -> None:
+        super()._setup_model()
+        dropped, critic = self.top_quantiles_to_drop_per_net, self.critic
+        check_integer(0, top_quantiles_to_drop_per_net=dropped)
+        # A critic of sb3-contrib, one of this package, or one of SAC
+        n_quantiles = getattr(critic, "n_quantiles", getattr(critic, "n_outputs", 1))
+        if dropped >= n_quantiles:
+            raise ValueError(
+                f"top_quantiles_to_drop_per_net must be less than the policy's n_quantiles={n_quantiles}, "
+                f"got {dropped}"
+            )
 
     def _q_values(self, critic: Any, features: th.Tensor, actions: th.Tensor) -> Any:
         """Return the quantiles of all heads, (batch, heads, quantiles)."""

@@ -21,7 +21,7 @@ from sb3_extensions.encoders.observation import SceneView
 from sb3_extensions.equivariant.groups import FieldType, Group
 from sb3_extensions.equivariant.layers import EquivariantConv2d, EquivariantLinear, GroupMaxPool
 from sb3_extensions.ferm import FERM
-from sb3_extensions.replay.augmentation import RAD
+from sb3_extensions.replay.augmentation import RAD, DrQ
 from sb3_extensions.replay.buffer import ExpertReplayBuffer
 from sb3_extensions.replay.quantisation import Quantiser
 from sb3_extensions.replay.rotation import Rotation, make_augmentation
@@ -104,10 +104,13 @@ def test_at_most_twelve_additions_and_all_off():
         ({"gamma": 1.5}, "gamma .* got 1.5"),
         ({"tau": -0.1}, "tau .* got -0.1"),
         ({"pretrain_steps": 5, "expert_episodes": 0}, "pretrain_steps"),
+        ({"learning_starts": -1}, "learning_starts .* got -1"),
+        ({"gradient_steps": 1.5}, "gradient_steps .* integer .* got 1.5"),
         ({"replay_buffer_class": ReplayBuffer}, "replay_buffer_class"),
+        ({"replay_buffer_class": "uniform"}, "replay_buffer_class .* got 'uniform'"),
         ({"replay_buffer_kwargs": {"gamma": 0.9}}, "gamma"),
         ({"replay_buffer_kwargs": {"image_dtype": "uint16"}}, "image_dtype='uint16'.*quantise='uint8'"),
-        ({"policy_kwargs": {"features_extractor_kwargs": {"quantise": None}}}, "quantise=None"),
+        ({"replay_buffer_kwargs": {"image_dtype": None}}, "image_dtype=None.*quantise='uint8'"),
         ({"pretrain_steps": 5, "bc_weight": 0}, "critic_warmup_steps"),
         ({"n_steps": 0}, "n_steps"),
         ({"n_steps": 2.0}, "n_steps .* integer .* got 2.0"),
@@ -121,6 +124,7 @@ def test_at_most_twelve_additions_and_all_off():
         ({"augmentation": {"rad": {"size": 16}}}, "16 x 16"),
         ({"train_freq": 0}, "train_freq .* n_envs=1"),
         ({"learner": TQCfD, "top_quantiles_to_drop_per_net": 25}, "top_quantiles_to_drop_per_net"),
+        ({"learner": TQCfD, "policy": SAC.policy_aliases["MultiInputPolicy"]}, "n_quantiles=1, got 2"),
         ({"learner": FERM, "augmentation": None}, "augmentation .* got None"),
         ({"learner": FERM, "contrastive_steps": 0.5}, "contrastive_steps .* integer .* got 0.5"),
         ({"learner": FERM, "encoder_tau": 0.0}, "encoder_tau .* got 0.0"),
@@ -144,6 +148,18 @@ def test_learn_has_the_parameters_of_stable_baselines3(algorithm):
 def test_an_unknown_policy_is_refused_with_the_known_ones(algorithm, make_toy):
     with pytest.raises(ValueError, match=f"policy .*{', '.join(algorithm.policy_aliases)}, got 'CnnPolicy'"):
         algorithm("CnnPolicy", make_toy())
+
+
+@pytest.mark.parametrize("high", [0.4, np.inf])
+def test_images_are_stored_exactly_without_quantisation(high, make_toy, make_learner):
+    env = make_toy()
+    env.observation_space["heightmap"] = spaces.Box(0.0, high, (1, 16, 16), np.float32)
+    extractor = {"features_extractor_kwargs": {"channels": [4, 8, 8], "quantise": None}}
+    model = make_learner(VecNormalize(env), policy_kwargs=extractor, expert_episodes=0)
+    seen = [env.reset()["heightmap"][0]]
+    model.learn(3, callback=lambda local, _: seen.append(env.buf_obs["heightmap"][0].copy()) or True)
+    assert seen[1].any()
+    np.testing.assert_array_equal(model.replay_buffer.table.observations["heightmap"][1:2], seen[1][None])
 
 
 def test_unfitting_environments_are_refused(monkeypatch, make_toy, make_learner, tmp_path):
@@ -291,6 +307,7 @@ UNBOUNDED = box(1, 8, 8, high=np.inf)
         (lambda: EquivariantConv2d(MIXED, MIXED, 0), "kernel_size 0"),
         (lambda: RAD(16).check(scene()), "observation_space images 16"),
         (lambda: Rotation().check(spaces.Dict({"image": box(1, 4, 5)})), "observation_space images"),
+        (lambda: DrQ().check(box(1, 4, 5)), "observation_space images (1, 4, 5)"),
         (lambda: make_augmentation("rda"), "augmentation rotation, rad, drq, 'rda'"),
         (lambda: make_augmentation({"rad": {"sise": 3}}), "augmentation sise"),
         (lambda: make_augmentation({"rad": {"size": 0}}), "size 0"),
@@ -306,6 +323,7 @@ UNBOUNDED = box(1, 8, 8, high=np.inf)
         (lambda: buffer(size=1), "buffer_size 1"),
         (lambda: buffer(space=spaces.Discrete(3)), "Box Discrete"),
         (lambda: Quantiser(UNBOUNDED), "finite bounds"),
+        (lambda: Quantiser(box(1, 4, 4, low=-3e38, high=3e38)), "finite bounds"),
         (lambda: Quantiser(box(1, 4, 4, low=1.0, high=1.0)), "low < high"),
         (lambda: Quantiser(box(1, 4, 4, low=1000.0, high=1000.01), "uint16"), "too narrow"),
         (lambda: ShareSampler(0.7, 0.4), "expert_fraction success_fraction 0.7 + 0.4"),

@@ -9,6 +9,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium import spaces
+from gymnasium.envs.classic_control import PendulumEnv
 from gymnasium.wrappers import (
     DelayObservation,
     FrameStackObservation,
@@ -239,7 +240,10 @@ def test_resume_rejects_damaged_and_other_directories(make_toy, make_model, tmp_
         resume(checkpoint, VecMonitor(env))
 
 
-def test_envs_without_state_start_a_new_episode(tmp_path):
+def test_envs_without_state_start_a_new_episode(monkeypatch, tmp_path):
+    """Also those with get_state() alone."""
+    monkeypatch.setattr(PendulumEnv, "get_state", lambda self: self.state, raising=False)
+
     def make_env():
         return VecNormalize(DummyVecEnv([lambda: gym.make("Pendulum-v1")]))
 

@@ -101,6 +101,8 @@ def test_environments_without_successes_or_expert_are_rejected():
         collect(2, env=make_env(expert_failures=100))
     with pytest.raises(ValueError, match="expert_action"):
         collect(1, env=gym.make("Pendulum-v1"))
+    with pytest.raises(ValueError, match=r"env must be one environment, got .* 2"):
+        collect(1, env=DummyVecEnv([make_env] * 2))
 
 
 class Halved(gym.ObservationWrapper[Any, Any, Any]):
@@ -196,6 +198,12 @@ def test_environments_in_other_processes_come_from_their_spec():
         env.close()
     assert share == 2 and copy.get_attr("max_steps") == [7]
     assert copy.get_attr("render_mode") == [None]
+
+
+def test_environments_with_arrays_in_their_spec():
+    """They count as different, because arrays have no single truth value."""
+    make = partial(make_env, max_steps=np.array([7, 7]))
+    assert [share for _, share in make_expert_envs(DummyVecEnv([make] * 2))] == [1, 1]
 
 
 class Uncopyable(gym.Wrapper[Any, Any, Any, Any]):

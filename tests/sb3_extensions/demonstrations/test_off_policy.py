@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 from gymnasium.wrappers import FlattenObservation, RescaleAction
+from stable_baselines3 import SAC
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.env_util import make_vec_env
 
@@ -160,6 +161,15 @@ def learn(data, env=None, policy="StatePolicy", **env_kwargs):
         raise
 
 
+def test_a_stock_replay_buffer_is_rejected(make_learner, tmp_path):
+    stock = SAC("MlpPolicy", "Pendulum-v1", buffer_size=10, device="cpu")
+    stock.save_replay_buffer(tmp_path / "buffer")
+    model = make_learner()
+    model.load_replay_buffer(tmp_path / "buffer")
+    with pytest.raises(ValueError, match=r"replay_buffer must be an ExpertReplayBuffer, got .*ReplayBuffer"):
+        model.learn(1)
+
+
 def plain_episode(episode, **changes):
     parts = {name: getattr(episode, name) for name in (*PARTS, "truncations", "seed")}
     return dataclasses.replace(Episode(**parts, expert_actions=episode.actions), **changes)
@@ -239,14 +249,18 @@ def test_demonstrations_of_another_task_are_refused():
     ("name", "change", "message"),
     [
         ("actions", lambda x: x[:, :4], r"actions of shape \(\d+, 5\), got \(\d+, 4\)"),
+        ("actions", lambda x: None, r"actions of shape \(1, 5\), got \(\)"),
         ("actions", lambda x: x[:0], "at least one step .* got 0 in episode 1"),
         ("observations", lambda x: x["state"], r"keys \['holding', 'state'\], got ndarray"),
         ("observations", lambda x: {"other": x["state"]}, r"keys \['holding', 'state'\], got \['other'\]"),
         ("observations", lambda x: {**x, "state": x["state"][:, :3]}, r"observations\['state'\] of .*3\)"),
         ("observations", lambda x: {**x, "state": x["state"][1:]}, r"observations\['state'\] of shape"),
         ("observations", lambda x: {**x, "holding": x["holding"] - 3}, r"observations\['holding'\] .* -3"),
+        ("terminations", lambda x: [True, *x[1:]], r"terminations .*, got one at step 0 of \d+ in episode 1"),
         ("terminations", lambda x: x[1:], r"terminations of shape \(\d+,\), got"),
         ("rewards", lambda x: x[:-1], r"rewards of shape \(\d+,\), got \(\d+,\) in episode 1"),
+        ("rewards", lambda x: [None] * len(x), "rewards of a type .* float32, got object in episode 1"),
+        ("rewards", lambda x: [[1.0], [2.0, 3.0]], "rewards in episode 1: .*inhomogeneous"),
         ("rewards", lambda x: x + np.inf, "rewards from .* got inf to inf in episode 1"),
         ("actions", lambda x: x * 1000, r"actions from -1 to 1, got -?\d+ to \d+ in episode 1"),
         ("actions", lambda x: np.full_like(x, np.nan), "actions from -1 to 1, got nan to nan in episode 1"),
@@ -258,6 +272,22 @@ def test_shapes_and_values_outside_their_bounds_are_refused(name, change, messag
     wrong = dataclasses.replace(episode, **{name: change(getattr(episode, name))})
     with pytest.raises(ValueError, match=f"^expert_data must have .*{message}"):
         learn([episode, wrong])
+
+
+@pytest.mark.parametrize("form", [vars, lambda episode: None, lambda episode: [episode]])
+def test_episodes_without_attributes_are_refused(form, reaching):
+    episode = plain_episode(reaching[0])
+    with pytest.raises(ValueError, match=r"^expert_data .* attribute 'observations', got \w+ in episode 0"):
+        learn([form(episode)])
+
+
+def test_floats_are_refused_for_images_of_integers(make_toy, make_learner):
+    env = make_toy()
+    [episode] = collect_episodes(make_expert_envs(env)[0][0], 1, seed=0, progress_bar=False)
+    env.observation_space["heightmap"] = spaces.Box(0, 255, (1, 16, 16), np.uint8)
+    model = make_learner(env, expert_data=[episode])
+    with pytest.raises(ValueError, match=r"observations\['heightmap'\] .* uint8, got float32"):
+        model.learn(1)
 
 
 def test_learner_stores_the_experts_actions_in_the_wrapped_action_space():

@@ -171,10 +171,12 @@ def test_demonstrations_fit_the_buffer_and_come_first():
 
 
 def test_timeouts_bootstrap_by_default():
+    """Also those of expert episodes."""
     for handle, expected in [(True, 0.0), (False, 1.0)]:
         buffer = make_buffer(handle_timeout_termination=handle)
+        buffer.add_episode(*expert_episode(3)[:3], terminations=[False] * 3)
         Player(buffer).step(p_terminate=0, p_truncate=1)
-        assert buffer.sample(1).dones.item() == expected
+        assert buffer.steps("done").tolist() == [0.0, 0.0, expected, expected]
 
 
 def test_pickles_have_used_rows_only_and_give_equal_samples():

@@ -174,6 +174,15 @@ def test_first_updates_count_alike_then_the_latest_most(make_learner):
     np.testing.assert_allclose(weights(model.policy.actor_average.module), expected, atol=1e-5)
 
 
+def test_average_acts_without_dropout(make_toy, make_learner):
+    model = make_learner(policy_kwargs={"actor_tau": 0.25, "activation_fn": nn.Dropout, "net_arch": [64]})
+    observation = make_toy().reset()
+    first, second = (model.learn(1).predict(observation, deterministic=True)[0] for _ in range(2))
+    again, _ = model.predict(observation, deterministic=True)
+    np.testing.assert_array_equal(second, again)
+    assert (first != second).any()
+
+
 @pytest.mark.parametrize(("learner", "policy"), [(TQCfD, "EquivariantPolicy"), (FERM, "MultiInputPolicy")])
 def test_average_acts_where_actions_are_not_sampled(learner, policy, make_toy, make_learner, tmp_path):
     """The average is saved and not trained, and learning is the same with it."""
