@@ -52,6 +52,7 @@ LIBRARIES = {
         ("tianshou==2.0.1",),
         unpinned=("filelock", "pandas", "python-discovery", "virtualenv"),
     ),
+    "skrl_sac": Library("skrl", r"40 transitions", ("skrl",)),
     "rllib_ppo_sac": Library(
         "tree", r"PPO 128.0 steps\n(.*\n)*SAC 100.0 steps", ("ray[rllib]",), unpinned=("gymnasium",)
     ),
