@@ -41,25 +41,23 @@ def validate_episodes(data: Iterable[EpisodeData], env: VecEnv) -> Iterator[Epis
         yield episode
 
 
+def _error(must: str, got: Any, number: int) -> ValueError:
+    return ValueError(f"expert_data must have {must}, got {got} in episode {number}")
+
+
 def _validate_episode(episode: EpisodeData, env: VecEnv, number: int) -> None:
     for name in ("observations", "actions", "rewards", "terminations"):
         if not hasattr(episode, name):
-            raise ValueError(
-                f"expert_data must have episodes with the attribute {name!r}, got "
-                f"{type(episode).__name__} in episode {number}"
-            )
+            raise _error(f"episodes with the attribute {name!r}", type(episode).__name__, number)
     entries, observations = space_parts(env.observation_space), episode.observations
     if not isinstance(env.observation_space, spaces.Dict):
         observations = as_parts(observations)
     if not isinstance(observations, Mapping) or not entries.keys() <= observations.keys():
         found = sorted(observations) if isinstance(observations, Mapping) else type(observations).__name__
-        raise ValueError(
-            f"expert_data must have observations with the keys {sorted(entries)}, got {found} in episode "
-            f"{number}"
-        )
+        raise _error(f"observations with the keys {sorted(entries)}", found, number)
     n_steps = len(np.atleast_1d(_as_array("actions", episode.actions, number)))
     if n_steps == 0:
-        raise ValueError(f"expert_data must have at least one step in an episode, got 0 in episode {number}")
+        raise _error("at least one step in an episode", 0, number)
     columns = {"actions": env.action_space, "rewards": REWARD_SPACE, "terminations": TERMINATION_SPACE}
     if getattr(episode, "expert_actions", None) is not None:
         columns["expert_actions"] = env.action_space
@@ -68,17 +66,15 @@ def _validate_episode(episode: EpisodeData, env: VecEnv, number: int) -> None:
     for key, entry in entries.items():
         _check(f"observations[{key!r}]", observations[key], n_steps + 1, entry, number)
     if early := np.flatnonzero(episode.terminations[:-1]).tolist():
-        raise ValueError(
-            "expert_data must have terminations at the last step of an episode only, got one at step "
-            f"{early[0]} of {n_steps} in episode {number}"
-        )
+        got = f"one at step {early[0]} of {n_steps}"
+        raise _error("terminations at the last step of an episode only", got, number)
 
 
 def _as_array(name: str, values: Any, number: int) -> npt.NDArray[Any]:
     try:
         return np.asarray(values)
     except ValueError as error:
-        raise ValueError(f"expert_data must have an array of {name} in episode {number}: {error}") from error
+        raise _error(f"an array of {name}", f"the error {error}", number) from error
 
 
 def _check(name: str, values: Any, length: int, space: spaces.Space[Any], number: int) -> None:
@@ -86,25 +82,18 @@ def _check(name: str, values: Any, length: int, space: spaces.Space[Any], number
     numbers = _as_array(name, values, number)
     shape = (length, *(space.shape or ()))
     if numbers.shape != shape:
-        raise ValueError(
-            f"expert_data must have {name} of shape {shape}, got {numbers.shape} in episode {number}"
-        )
+        raise _error(f"{name} of shape {shape}", numbers.shape, number)
     if not isinstance(space, spaces.Box):
         return
     if numbers.dtype.kind not in ("buif" if np.issubdtype(space.dtype, np.floating) else "bui"):
-        raise ValueError(
-            f"expert_data must have {name} of a type that converts to {space.dtype}, got {numbers.dtype} in "
-            f"episode {number}"
-        )
+        raise _error(f"{name} of a type that converts to {space.dtype}", numbers.dtype, number)
     low, high = space.low.astype(np.float64), space.high.astype(np.float64)
     width = np.where(np.isfinite(high - low), high - low, np.maximum(np.abs(low), np.abs(high)))
     tolerance = RELATIVE_TOLERANCE * np.where(np.isfinite(width), width, 0.0)
     # The comparisons are False for NaN.
     if not ((numbers >= low - tolerance) & (numbers <= high + tolerance)).all():
-        raise ValueError(
-            f"expert_data must have {name} from {low.min():g} to {high.max():g}, got {numbers.min():g} to "
-            f"{numbers.max():g} in episode {number}"
-        )
+        got = f"{numbers.min():g} to {numbers.max():g}"
+        raise _error(f"{name} from {low.min():g} to {high.max():g}", got, number)
 
 
 def _check_env_id(data: Any, env: VecEnv) -> None:

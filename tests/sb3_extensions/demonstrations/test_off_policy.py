@@ -260,7 +260,7 @@ def test_demonstrations_of_another_task_are_refused():
         ("terminations", lambda x: x[1:], r"terminations of shape \(\d+,\), got"),
         ("rewards", lambda x: x[:-1], r"rewards of shape \(\d+,\), got \(\d+,\) in episode 1"),
         ("rewards", lambda x: [None] * len(x), "rewards of a type .* float32, got object in episode 1"),
-        ("rewards", lambda x: [[1.0], [2.0, 3.0]], "rewards in episode 1: .*inhomogeneous"),
+        ("rewards", lambda x: [[1.0], [2.0, 3.0]], "rewards, .*inhomogeneous.* in episode 1"),
         ("rewards", lambda x: x + np.inf, "rewards from .* got inf to inf in episode 1"),
         ("actions", lambda x: x * 1000, r"actions from -1 to 1, got -?\d+ to \d+ in episode 1"),
         ("actions", lambda x: np.full_like(x, np.nan), "actions from -1 to 1, got nan to nan in episode 1"),
