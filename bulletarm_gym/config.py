@@ -286,7 +286,7 @@ class EnvConfig:
         return {name: value for name, value in asdict(self).items() if belongs(name, self.control)}
 
     def changed(self, default: "EnvConfig", effect: Effect) -> list[str]:
-        """Return the names of the parameters with an effect whose values differ from other ones."""
+        """Return the names of the parameters with an effect whose values differ from the default ones."""
         return [name for name in with_effect(effect) if getattr(self, name) != getattr(default, name)]
 
     @property

@@ -281,8 +281,8 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         :raises ValueError: the task's plan has no waypoint
         """
         self._episode.check_running()
-        lasts = PLAN_STEPS if self.task.plans_moves and self.config.control == CLOSE_LOOP else 1
-        rng = self._episode.rng(PLAN, self._episode.steps // lasts)
+        period = PLAN_STEPS if self.task.plans_moves and self.config.control == CLOSE_LOOP else 1
+        rng = self._episode.rng(PLAN, self._episode.steps // period)
         plan = checked_plan(self.task.plan(self.scene, rng))
         return self.control.encode_action(self.tracker.next_move(plan))
 

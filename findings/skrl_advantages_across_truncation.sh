@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# skrl 2.1.1: PPO adds the rewards of the next episode to those of a truncated one, with the default time_limit_bootstrap=False.
+# skrl 2.1.1: PPO includes the rewards of the next episode in the returns of a truncated episode.
+# This is so with the default time_limit_bootstrap=False.
 # compute_gae() stops at terminations only. The documentation of PPO computes it from "terminated or truncated", and the option is
 # described as "Whether to bootstrap at timeout termination". Only True also separates the episodes. A2C, RPO and AMP are alike.
 # Seen for two episodes that are truncated after 2 steps with reward 1 (no discount, all values 0): returns 4, 3, 2, 1; with True

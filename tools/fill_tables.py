@@ -170,7 +170,7 @@ def results_summary(source: Source) -> str:
     at_least = {limit: sum(round(rate, 2) >= limit for rate in rates) for limit in (0.90, 0.95)}
     counts = ", ".join(f"{number} have {limit:.2f} or more" for limit, number in at_least.items())
     tasks = {env.env_id for benchmark in BENCHMARKS.values() for env in benchmark.environments}
-    return f"{table}\n\nOf the paper's {len(tasks)} tasks, {len(rates)} have been trained: {counts}."
+    return f"{table}\n\n{len(rates)} of the paper's {len(tasks)} tasks have been trained: {counts}."
 
 
 def _result(runs: Sequence[Row]) -> list[str]:

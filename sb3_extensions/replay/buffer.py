@@ -138,7 +138,7 @@ class ExpertReplayBuffer(ReplayBuffer):
         :param observations: n + 1 observations; for a Dict space an array for each key
         :param actions: n executed actions in the policy's units [-1, 1], shape (n, action dimensions)
         :param rewards: n rewards
-        :param terminations: n booleans, True where the episode terminated; an episode without is truncated
+        :param terminations: n booleans, True where the episode terminated; all False if it was truncated
         :param expert_actions: n actions that the expert intended, if they differ from the executed ones
         :raises ValueError: if the buffer is too small, or there are online steps
         """

@@ -29,7 +29,8 @@ class Quantiser:
             width = (high - low).astype(np.float32)
         if not (np.isfinite(width) & (width > 0)).all():
             raise ValueError(
-                f"space must have finite bounds with low < high, got {space}. Pass quantise=None to a network"
+                "space must have finite bounds with low < high, at most the largest float32 apart, "
+                f"got {space}. Use quantise=None."
             )
         self.dtype = np.dtype(dtype)
         self.levels = int(np.iinfo(self.dtype).max)
