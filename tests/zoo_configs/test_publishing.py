@@ -48,6 +48,15 @@ def test_weights_that_are_too_large_for_float16_are_not_rounded():
     assert {weights.dtype for weights in stored_weights(layer, half=True).values()} == {th.float32}
 
 
+@pytest.mark.parametrize("scale", [0.0, 1e-3, 1.0, 1e3])
+def test_matrices_have_few_values_and_vectors_are_unchanged(scale):
+    layer = nn.Linear(64, 64)
+    nn.init.normal_(layer.weight, std=scale)
+    stored = stored_weights(layer, half=True)
+    assert stored["weight"].unique().numel() < 256 and th.equal(stored["bias"], layer.bias)
+    assert (stored["weight"].float() - layer.weight).abs().max() <= scale / 8
+
+
 def make_model(name, toy_id, **more):
     if name == "sac":
         return SAC("MlpPolicy", "Pendulum-v1", seed=0)
@@ -71,7 +80,7 @@ def test_a_loaded_agent_acts_as_before(name, half, toy_id, tmp_path):
         with th.no_grad():  # an average that differs from the weights, as after a training
             for parameter in model.policy.get_submodule("actor").parameters():
                 parameter.mul_(1.5)
-    types, error = ("bfloat16, float16", 0.05) if name == "ferm" else ("float16", 0.01)
+    types = "bfloat16, float16" if name == "ferm" else "float16"
     assert save_compact(model, tmp_path / "agent.zip", half) == (types if half else "float32")
     save_compact(model, tmp_path / "again.zip", half)
     assert (tmp_path / "agent.zip").read_bytes() == (tmp_path / "again.zip").read_bytes()
@@ -79,7 +88,7 @@ def test_a_loaded_agent_acts_as_before(name, half, toy_id, tmp_path):
     (space := model.observation_space).seed(0)
     for observation in (space.sample() for _ in range(5)):
         expected, found = (each.predict(observation, deterministic=True)[0] for each in (model, loaded))
-        np.testing.assert_allclose(found, expected, atol=error if half else 0.0)
+        np.testing.assert_allclose(found, expected, atol=0.1 if half else 0.0)
         assert np.isfinite(loaded.predict(observation)[0]).all()
 
 
