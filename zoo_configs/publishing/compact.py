@@ -44,7 +44,8 @@ def save_compact(model: BaseAlgorithm, path: Path, half: bool = True) -> str:
 
     Target networks are stored as the networks that they follow, an actor with an average as its average.
 
-    :param half: Whether to store rounded weights in bfloat16, if the network computes in it, or else in float16
+    :param half: Whether to round weights and store them in bfloat16, if the network computes in it, or
+        else in float16
     :return: Data type of the stored weights
     """
     params = model.get_parameters()
