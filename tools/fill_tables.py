@@ -254,6 +254,7 @@ def filled(page: Path, folder: Path = DATA) -> str:
     source, text = Source(folder, page), page.read_text(encoding="utf-8")
 
     def fill(place: re.Match[str]) -> str:
+        """Return the content of one place between its comments."""
         if place["name"] not in FIGURES:
             near = difflib.get_close_matches(place["name"], FIGURES, 1)
             sys.exit(
