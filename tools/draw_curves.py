@@ -29,7 +29,8 @@ def main() -> None:
     add = parser.add_argument
     add("data", type=Path, help="CSV of evaluations, one row a run")
     add("-f", "--log-folder", type=Path, help="folder of runs to add to the file")
-    add("--over", metavar="NAME", help="setting on the horizontal axis instead of the time steps")
+    how = "setting on the horizontal axis instead of the time steps, of tasks with several values"
+    add("--over", metavar="NAME", help=how)
     add("-o", "--output", type=Path, required=True, help="PNG file to write")
     args = parser.parse_args()
     data = DataFile(args.data, KEY)
@@ -41,7 +42,8 @@ def main() -> None:
         panels[row["env"]][row["baseline"]].append(to_curve(row))
     if args.over:
         lines = {env: by_setting(labels, args.over) for env, labels in panels.items()}
-        draw_setting(lines, args.over, args.output)
+        several = {env: points for env, points in lines.items() if len(points) > 1}
+        draw_setting(several, args.over, args.output)
         return
     means = {
         env: {name: mean_curve(curves) for name, curves in lines.items()} for env, lines in panels.items()
