@@ -17,6 +17,7 @@ from measurements import DataFile, Row, number
 from zoo_configs.drawing.curves import SUCCESS, LearningCurve, draw_curves, mean_curve
 from zoo_configs.experiments.families import task_name
 from zoo_configs.results import Result, read_experiments
+from zoo_configs.training.runs import Run
 
 KEY = ("env", "baseline", "seed")
 ENDS = {-1: "-", 0: ":"}
@@ -36,7 +37,8 @@ def main() -> None:
     data = DataFile(args.data, KEY)
     for experiment in read_experiments(args.log_folder) if args.log_folder else ():
         for result in experiment.results.values():
-            data.add(to_row(result, experiment.label))
+            label = with_setting(result.run, args.over) if args.over else experiment.label
+            data.add(to_row(result, label))
     panels: defaultdict[str, defaultdict[str, list[LearningCurve]]] = defaultdict(lambda: defaultdict(list))
     for row in sorted(data.read(), key=lambda row: row["env"]):
         panels[row["env"]][row["baseline"]].append(to_curve(row))
@@ -49,6 +51,11 @@ def main() -> None:
         env: {name: mean_curve(curves) for name, curves in lines.items()} for env, lines in panels.items()
     }
     draw_curves(means, args.output)
+
+
+def with_setting(run: Run, name: str) -> str:
+    """Return the baseline with one setting, which its other runs need not have with another value."""
+    return f"{run.experiment.label}, {name}={run.experiment.hyperparams[name]}"
 
 
 def to_row(result: Result, label: str) -> Row:

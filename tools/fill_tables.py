@@ -211,7 +211,7 @@ def demonstrations_table(source: Source) -> str:
     counts = sorted({count for rates in tasks.values() for count in rates})
     lines = [
         [f"`{task_name(env)}`", *(_mean(rates.get(count, [])) for count in counts)]
-        for env, rates in tasks.items()
+        for env, rates in sorted(tasks.items())
     ]
     return source.table("demonstrations", ["task", *map(str, counts)], lines, rows)
 

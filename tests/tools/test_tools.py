@@ -89,6 +89,31 @@ def test_tasks_are_drawn(tmp_path, monkeypatch):
     assert iio.imread(tmp_path / names[1]).shape == (30, 52, 3)
 
 
+def test_tasks_with_one_value_of_a_setting_have_no_line_over_it(tmp_path, monkeypatch):
+    import draw_curves
+
+    rows = [("A-v0", 5), ("A-v0", 10), ("B-v0", 10)]
+    lines = [
+        f'BulletArm/{env},"sacfd, expert_episodes={count}",0,success rate,20,0:0.5 9:1,,,,'
+        for env, count in rows
+    ]
+    data, image = tmp_path / "curves.csv", tmp_path / "over.png"
+    data.write_text(
+        "\n".join(["env,baseline,seed,measure,episodes,evaluations,machine,date,commit,command", *lines, ""])
+    )
+    drawn = []
+    monkeypatch.setattr(
+        draw_curves,
+        "draw_setting",
+        lambda lines, *_: drawn.append({env: list(points) for env, points in lines.items()}),
+    )
+    monkeypatch.setattr(
+        sys, "argv", ["draw_curves.py", str(data), "--over", "expert_episodes", "-o", str(image)]
+    )
+    draw_curves.main()
+    assert drawn == [{"BulletArm/A-v0": [5, 10]}]
+
+
 ROOT = Path(__file__).parents[2]
 BY_NAME = {one.name: one for one in SHOWN}
 PICKING = "CloseLoopBlockPicking"
