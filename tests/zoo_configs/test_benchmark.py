@@ -245,12 +245,15 @@ def test_a_machine_must_share_the_folder_and_the_versions(tmp_path, monkeypatch)
         with pytest.raises(CommandError, match=text):
             cluster.check_machine(tmp_path / token, packages, required)
     with pytest.raises(CommandError, match=socket.gethostname()):
-        cluster.train(jobs_of(tmp_path)[0], tmp_path / "other")
+        cluster.train(jobs_of(tmp_path)[0], tmp_path / "other", tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["token"]
 
 
 def test_a_run_that_is_lost_again_and_again_fails(tmp_path, monkeypatch):
+    monkeypatch.chdir("/")
+
     def lost(*_):
+        assert Path.cwd() == tmp_path  # that of the benchmark, for relative paths
         ended = {"wait": lambda _=None: True, "exit_code": lambda: ExitCode.INTERRUPTED}
         return SimpleNamespace(**ended, interrupt=lambda: None, kill=lambda: None)
 
@@ -258,11 +261,11 @@ def test_a_run_that_is_lost_again_and_again_fails(tmp_path, monkeypatch):
     monkeypatch.setattr(cluster, "MAX_STARTS", 3)
     (token := tmp_path / "token").touch()
     job = jobs_of(tmp_path)[0]
-    codes = [cluster.train(job, token) for _ in range(4)]
+    codes = [cluster.train(job, token, tmp_path) for _ in range(4)]
     assert codes == [ExitCode.INTERRUPTED] * 3 + [ExitCode.FAILED]
     assert "3 times" in job.status.error
     (job.checkpoint_folder / "checkpoint_6").mkdir(parents=True)
-    assert cluster.train(job, token) == ExitCode.INTERRUPTED  # it has progressed
+    assert cluster.train(job, token, tmp_path / "missing") == ExitCode.INTERRUPTED  # it has progressed
 
 
 def test_a_dead_address_is_reported_soon(bench, tmp_path, capsys, monkeypatch):

@@ -1,5 +1,6 @@
 """A benchmark on a Ray cluster: each run is a Ray task; all machines share the folder."""
 
+import contextlib
 import logging
 import os
 import socket
@@ -124,9 +125,15 @@ def _check_shared(token: Path) -> None:
         time.sleep(POLL)
 
 
-def train(job: Run, token: Path) -> int:
-    """Train one run on a machine of the cluster and return its exit code; Ray would repeat a failed task."""
+def train(job: Run, token: Path, directory: Path) -> int:
+    """
+    Train one run on a machine of the cluster and return its exit code; Ray would repeat a failed task.
+
+    :param directory: Working directory of the benchmark, to which its relative paths refer
+    """
     _check_shared(token)
+    with contextlib.suppress(OSError):  # without relative paths no machine needs it
+        os.chdir(directory)
     if _starts(job, token) > MAX_STARTS:
         error = f"lost {MAX_STARTS} times at the same checkpoint. It may need more memory"
         set_status(job.folder, State.FAILED, error)
@@ -166,7 +173,7 @@ def run_on_ray(
     running = {}
     for job in jobs:
         options = {**resources[job.folder], "name": str(job.folder)}
-        running[remote.options(**options).remote(job, token)] = job.folder
+        running[remote.options(**options).remote(job, token, Path.cwd())] = job.folder
     try:
         while running:
             ended, _ = ray.wait(list(running), num_returns=1, timeout=POLL)
