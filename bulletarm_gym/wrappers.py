@@ -272,7 +272,9 @@ Inverse = Callable[[Any], Any]
 def wrapped_expert(env: gymnasium.Env[Any, Any], expert: Callable[[], Any]) -> Callable[[], Any]:
     """Return an expert with actions in the action space of the outermost wrapper that queried it.
 
-    An environment of Gymnasium has no reference to its wrappers, so they are read from the call stack.
+    An environment of Gymnasium has no reference to its wrappers, so they are read from the call stack. A
+    wrapper with the action space of its environment changes no actions, unless it is an ``ActionWrapper`` or
+    has a method ``revert_action()``.
 
     :param env: environment whose ``get_wrapper_attr()`` calls this function
     :raises ValueError: a wrapper changes actions in a way that cannot be inverted
