@@ -128,17 +128,18 @@ class InstructionInfo(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorAr
     def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
         RecordConstructorArgs.__init__(self)
         super().__init__(check_argument("env", env, OWN))
-        self._rng = np.random.default_rng()
+        self._instruction_rng = np.random.default_rng()
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Begin an episode, see :meth:`~bulletarm_gym.env.ManipulationEnv.reset`."""
         if seed is not None:
-            self._rng = np.random.default_rng(seed)
+            self._instruction_rng = np.random.default_rng(seed)
         observation, info = self.env.reset(seed=seed, options=options)
         sentences = self.get_wrapper_attr("instructions")
-        return observation, {**info, "instruction": sentences[int(self._rng.integers(len(sentences)))]}
+        chosen = sentences[int(self._instruction_rng.integers(len(sentences)))]
+        return observation, {**info, "instruction": chosen}
 
 
 class GoalObservation(gymnasium.ObservationWrapper[Any, Any, Any], RecordConstructorArgs):
@@ -252,7 +253,7 @@ class ResetOptions(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs)
 
         :raises ValueError: they are not a dict
         """
-        self._options = deepcopy(dict(check_argument("options", options, mapping)))
+        self._reset_options = deepcopy(dict(check_argument("options", options, mapping)))
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -260,7 +261,7 @@ class ResetOptions(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs)
         """Begin an episode with the options of this wrapper and passed ones; a state replaces all others."""
         given = {} if options is None else options
         if isinstance(given, Mapping) and "state" not in given:
-            given = {**self._options, **given}
+            given = {**self._reset_options, **given}
         return self.env.reset(seed=seed, options=given)
 
 
@@ -271,7 +272,9 @@ Inverse = Callable[[Any], Any]
 def wrapped_expert(env: gymnasium.Env[Any, Any], expert: Callable[[], Any]) -> Callable[[], Any]:
     """Return an expert with actions in the action space of the outermost wrapper that queried it.
 
-    An environment of Gymnasium has no reference to its wrappers, so they are read from the call stack.
+    An environment of Gymnasium has no reference to its wrappers, so they are read from the call stack. A
+    wrapper with the action space of its environment changes no actions, unless it is an ``ActionWrapper`` or
+    has a method ``revert_action()``.
 
     :param env: environment whose ``get_wrapper_attr()`` calls this function
     :raises ValueError: a wrapper changes actions in a way that cannot be inverted

@@ -40,8 +40,9 @@ WRAPPER_STATE = (
     *("observation_queue", "obs_queue", "padding_value"),
     *("obs_rms", "return_rms", "discounted_reward"),
     *("last_action", "is_sticky_actions", "num_repeats", "repeats_taken"),
+    *("_reset_options", "_instruction_rng"),
 )
-"""Attributes of ``Monitor`` and of Gymnasium's wrappers that change in an episode."""
+"""Attributes of ``Monitor`` and of wrappers of Gymnasium and ``bulletarm_gym`` that change in a training."""
 VEC_WRAPPER_STATE = (
     *("episode_returns", "episode_lengths", "episode_count"),
     *("obs_rms", "ret_rms", "returns", "old_obs", "old_reward"),

@@ -24,6 +24,7 @@ from stable_baselines3.common.noise import NormalActionNoise
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormalize
 from torch.utils._pytree import tree_leaves
 
+from bulletarm_gym.wrappers import InstructionInfo, ResetOptions
 from sb3_extensions.common.checkpoint import (
     CheckpointError,
     DirectoryCheckpointCallback,
@@ -167,6 +168,23 @@ def test_wrappers_and_stock_algorithms_resume_exactly(wrap, wrap_vector, make, m
     assert resumed.env.get_attr("steps") == resumed.env.get_attr("_elapsed_steps") != [0]
     resumed.learn(STEPS + MORE_STEPS - resumed.num_timesteps, reset_num_timesteps=False)
     assert_same(whole, resumed)
+
+
+def test_options_of_resets_and_instructions_resume(tmp_path):
+    def make_env():
+        parameters = {"observation": "state", "object_scale_range": [0.6, 1.0]}
+        core = gym.make("BulletArm/CloseLoopBlockReaching-v0", **parameters)
+        return InstructionInfo(ResetOptions(core))
+
+    whole = stock_algorithm(make_env()).learn(8)
+    whole.env.env_method("set_reset_options", {"object_scale_range": 0.8})
+    save_checkpoint(whole, tmp_path)
+    episodes = []
+    for env in (whole.env, resume(tmp_path, make_env(), device="cpu").env):
+        resets = [(env.reset(), env.reset_infos[0]["instruction"]) for _ in range(5)]
+        narrowed = dict(env.env_method("get_state")[0].narrowed)
+        episodes.append(([sentence for _, sentence in resets], narrowed, resets[-1][0]["state"].tolist()))
+    assert episodes[0] == episodes[1] and narrowed == {"object_scale_range": [0.8, 0.8]}
 
 
 def test_latest_checkpoints_are_kept_in_the_order_of_writing(make_toy, make_model, tmp_path):
