@@ -209,8 +209,9 @@ def parse_plot(argv: Sequence[str]) -> argparse.Namespace:
     """
     Draw the evaluations of all runs in a log folder: a panel for each environment and a curve for each
     experiment, with the mean over the seeds and its standard error. Runs of an experiment differ only in
-    their seeds. Experiments with the same baseline are labelled with the settings that differ. Print tables
-    of the experiments and of the baselines over all tasks, and write them next to the figure.
+    their seeds. Experiments with the same baseline are labelled with the variant of the benchmark or with the
+    settings that differ. Print tables of the experiments and of the baselines over all tasks, and write them
+    next to the figure.
     """
     parser = _parser(parse_plot)
     add, kinds = parser.add_argument, ", ".join(PLOT_SUFFIXES)

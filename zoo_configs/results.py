@@ -19,7 +19,7 @@ from zoo_configs.errors import CommandError
 from zoo_configs.experiments.config import leaves
 from zoo_configs.experiments.families import task_name
 from zoo_configs.files import whole_file
-from zoo_configs.training.runs import Origin, Run, find_runs, origin_of
+from zoo_configs.training.runs import SEED_PREFIX, Origin, Run, find_runs, origin_of
 from zoo_configs.training.state import State
 
 AXES = ("preset", "benchmark")
@@ -58,7 +58,7 @@ class ExperimentResults:
     Runs that differ only in their seeds.
 
     :param env_id: Id of the environment
-    :param label: Baseline, with the settings that distinguish it from other experiments on this environment
+    :param label: Baseline, with its variant or the settings in which other experiments of this task differ
     :param results: Results by seed
     """
 
@@ -102,8 +102,10 @@ def read_experiments(
         must = "a folder with evaluated runs that match the other flags"
         raise CommandError(f"--log-folder must be {must}, got {log_folder}")
     settings = [settings_of(runs[0]) for runs in groups.values()]
-    pairs = zip(settings, groups.values(), strict=True)
-    found = [ExperimentResults(own["env"], _label(own, settings), _by_seed(runs)) for own, runs in pairs]
+    found = [
+        ExperimentResults(own["env"], variant_label(runs[0]) or _label(own, settings), _by_seed(runs))
+        for own, runs in zip(settings, groups.values(), strict=True)
+    ]
     return sorted(found, key=_order)
 
 
@@ -131,6 +133,13 @@ def settings_of(run: Run) -> dict[str, Any]:
     values = {name.removeprefix("env_kwargs."): value for name, value in leaves(experiment.hyperparams)}
     options = {"trained_agent": run.options.trained_agent, "n_timesteps": run.n_timesteps}
     return {**axes, **values, **options, "env": experiment.env_id, "baseline": experiment.label}
+
+
+def variant_label(run: Run) -> str:
+    """Return baseline and variant of a run of a benchmark with variants, "" for other runs."""
+    baseline, variant = run.experiment.label, run.folder.parent.name
+    is_variant = run.folder.name.startswith(SEED_PREFIX) and variant.startswith(f"{baseline}-")
+    return f"{baseline}, {variant.removeprefix(f'{baseline}-')}" if is_variant else ""
 
 
 def _label(own: Mapping[str, Any], others: Iterable[Mapping[str, Any]]) -> str:

@@ -146,6 +146,14 @@ def test_experiments_are_in_the_order_of_their_numbers(tmp_path):
     assert labels == [f"sacfd, expert_episodes={count}" for count in (5, 10, 100)]
 
 
+def test_variants_of_a_benchmark_are_labelled_by_their_names(tmp_path):
+    for variant, changes in (("complete", {}), ("no_rotation", {"augmentation": None})):
+        run = add_run(tmp_path, REACHING, "sacfd", 0, GOOD, **changes)
+        run.folder.parent.rename(run.folder.parents[1] / f"sacfd-{variant}")
+    labels = [experiment.label for experiment in read_experiments(tmp_path)]
+    assert labels == ["sacfd, complete", "sacfd, no_rotation"]
+
+
 def test_an_equal_run_counts_once(tmp_path, capsys):
     longer = add_run(tmp_path, REACHING, "sacfd", 0, GOOD)
     shorter = add_run(tmp_path, REACHING, "sacfd", 0, GOOD[:2])
