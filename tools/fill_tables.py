@@ -51,6 +51,8 @@ SPEED_HEADS = {
     "times_reference": ("ratio", 1),
 }
 """Column of the page and digits, by column of the file."""
+ABLATION_STEPS = (-3000, 0, 5000, 10000)
+"""Time steps of the evaluations in the table; those before 0 precede the first step."""
 PARTS = ("gradients_of_convolutions", "convolutions", "pooling", "rest")
 
 
@@ -216,6 +218,22 @@ def demonstrations_table(source: Source) -> str:
     return source.table("demonstrations", ["task", *map(str, counts)], lines, rows)
 
 
+def ablation_table(source: Source) -> str:
+    """Return the success of the complete learner and of its variants, each without one addition."""
+    rows = source.read("ablation")
+    runs: dict[tuple[str, str], list[dict[int, float]]] = {}
+    for row in rows:
+        pairs = (pair.split(":") for pair in row["evaluations"].split())
+        name = task_name(row["env"]), row["baseline"].rpartition(", ")[2]
+        runs.setdefault(name, []).append({int(step): float(rate) for step, rate in pairs})
+    lines = [
+        [f"`{task}`", f"`{variant}`", *(_mean([curve[step] for curve in curves]) for step in ABLATION_STEPS)]
+        for (task, variant), curves in runs.items()
+    ]
+    heads = ["task", "variant", *(f"{step:,} steps" for step in ABLATION_STEPS)]
+    return source.table("ablation", heads, lines, rows)
+
+
 def _date(run: Row) -> str:
     return ", ".join(part for part in (run["commit"], run["date"]) if part)
 
@@ -244,6 +262,7 @@ FIGURES: dict[str, Callable[[Source], str]] = {
     "results, close loop": partial(results_table, preset="cpu", tasks="CloseLoop*"),
     "results, open loop": partial(results_table, preset="cpu", tasks="OpenLoop*"),
     "demonstrations": demonstrations_table,
+    "ablation": ablation_table,
     "results, many demonstrations": partial(results_table, preset="quick", tasks="CloseLoop*"),
 }
 """Functions that return the text of a place, by name."""
