@@ -51,6 +51,8 @@ SPEED_HEADS = {
     "times_reference": ("ratio", 1),
 }
 """Column of the page and digits, by column of the file."""
+OTHER_EXPERIMENTS = ("--benchmark", "expert_episodes")
+"""Options of runs that the short table of results leaves out."""
 ABLATION_STEPS = (-3000, 0, 5000, 10000)
 """Time steps of the evaluations in the table; those before 0 precede the first step."""
 PARTS = ("gradients_of_convolutions", "convolutions", "pooling", "rest")
@@ -161,7 +163,7 @@ def results_summary(source: Source) -> str:
     """Return the success rate of each task's last agent with the preset ``cpu``."""
     runs_of: dict[str, list[Row]] = {}
     for run in source.read("results"):
-        if run["preset"] == "cpu" and "--benchmark" not in run["options"]:
+        if run["preset"] == "cpu" and not any(name in run["options"] for name in OTHER_EXPERIMENTS):
             runs_of.setdefault(run["env"], []).append(run)
     lines, rates = [], []
     for task, runs in sorted(runs_of.items()):

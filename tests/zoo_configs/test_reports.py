@@ -154,6 +154,16 @@ def test_variants_of_a_benchmark_are_labelled_by_their_names(tmp_path):
     assert labels == ["sacfd, complete", "sacfd, no_rotation"]
 
 
+def test_a_long_label_is_inside_of_the_figure(tmp_path):
+    curve = LearningCurve(np.array([0, 1]), np.ones(2), np.zeros(2), SUCCESS)
+    widths = []
+    for label in ("sacfd", "sacfd, " + 100 * "long"):
+        draw_curves({REACHING: {label: curve}}, tmp_path / "figure.png")
+        with Image.open(tmp_path / "figure.png") as image:
+            widths.append(image.size[0])
+    assert widths[1] > 3 * widths[0]
+
+
 def test_an_equal_run_counts_once(tmp_path, capsys):
     longer = add_run(tmp_path, REACHING, "sacfd", 0, GOOD)
     shorter = add_run(tmp_path, REACHING, "sacfd", 0, GOOD[:2])

@@ -128,9 +128,10 @@ def _subplots(rows: int, columns: int) -> tuple[Any, Any]:
 
 def _save(figure: Any, lines: Mapping[str, Any], path: Path) -> None:
     """Write a figure with one legend below its panels."""
-    figure.legend(lines.values(), lines, loc="outside lower center", ncols=PANELS_A_ROW)
-    with whole_file(path) as partial:
-        figure.savefig(partial, dpi=DOTS_PER_INCH)
+    columns = figure.axes[0].get_gridspec().ncols
+    figure.legend(lines.values(), lines, loc="outside lower center", ncols=columns)
+    with whole_file(path) as partial:  # a legend can be wider than the panels
+        figure.savefig(partial, dpi=DOTS_PER_INCH, bbox_inches="tight")
 
 
 def _draw(axes: Any, curve: LearningCurve, number: int) -> Any:
