@@ -222,7 +222,7 @@ def demonstrations_table(source: Source) -> str:
 
 def ablation_table(source: Source) -> str:
     """Return the success of the complete learner and of its variants, each without one addition."""
-    rows = source.read("ablation")
+    rows = [row for row in source.read("ablation") if row["state"] == "done"]
     runs: dict[tuple[str, str], list[dict[int, float]]] = {}
     for row in rows:
         pairs = (pair.split(":") for pair in row["evaluations"].split())
