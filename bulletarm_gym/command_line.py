@@ -3,7 +3,7 @@
 import argparse
 import importlib
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -16,12 +16,8 @@ def add_environment_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments that :func:`make_env` and the seeds of episodes need."""
     add = parser.add_argument
     many: dict[str, Any] = {"nargs": "+", "action": "extend", "default": []}
-    add(
-        "--seed",
-        type=non_negative_int,
-        default=0,
-        help="seed of the first episode; each further episode adds 1 (0)",
-    )
+    text = "seed of the first episode; each further episode adds 1 (0)"
+    add("--seed", type=integer_from(0), default=0, help=text)
     text = "parameters of the environment; a value is JSON, or else text"
     add("--env-kwargs", type=_key_value, metavar="KEY:VALUE", help=text, **many)
     text = "modules to import, which register your own tasks and components"
@@ -38,20 +34,15 @@ def _key_value(text: str) -> tuple[str, Any]:
         return key, value
 
 
-def positive_int(text: str) -> int:
-    """Return the positive integer that an argument contains."""
-    return _integer(text, 1)
+def integer_from(least: int) -> Callable[[str], int]:
+    """Return the type of arguments that are integers of at least ``least``."""
 
+    def integer(text: str) -> int:
+        if (value := int(text)) < least:
+            raise argparse.ArgumentTypeError(f"must be at least {least}, got {value}")
+        return value
 
-def non_negative_int(text: str) -> int:
-    """Return the non-negative integer that an argument contains."""
-    return _integer(text, 0)
-
-
-def _integer(text: str, least: int) -> int:
-    if (value := int(text)) < least:
-        raise argparse.ArgumentTypeError(f"must be at least {least}, got {value}")
-    return value
+    return integer
 
 
 @contextmanager

@@ -148,15 +148,10 @@ def numbers(sign: str = "finite", count: int | None = None) -> Check:
     :param sign: one of :data:`SIGNS`
     :param count: number of numbers, None for one that is not in a tuple
     """
-    low = SIGNS[sign]
-    if count is None:
-        return number(low, math.inf, f"a {sign} number")
-
-    def accepts(values: tuple[float, ...]) -> bool:
-        return len(values) == count and all(low <= value and math.isfinite(value) for value in values)
-
+    one = number(SIGNS[sign], math.inf, f"a {sign} number")
     text = f"{count} {sign} number{'' if count == 1 else 's'}"
-    return rule(text, accepts, lambda values: tuple(map(_float, values)))
+    several = rule(text, lambda values: len(values) == count, lambda values: tuple(map(one, values)))
+    return one if count is None else several
 
 
 def instance(*kinds: type) -> Check:

@@ -85,7 +85,7 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
             for name in ("robot", "reward")
             if callable(parameters.get(name)) or isinstance(parameters.get(name), RobotModel)
         }
-        model = ROBOTS.convert(self.objects["robot"]) if "robot" in self.objects else None
+        model = check_argument("robot", self.objects.get("robot"), optional(ROBOTS.check))
         parameters |= {} if model is None else {"robot": model.name}
         context = Context(control_type.kind, task_type.defaults, surface, control_type.sequences)
         check_argument("defaults", defaults, optional(mapping))

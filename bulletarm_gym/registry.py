@@ -4,7 +4,7 @@ import importlib
 import json
 import os
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property, partial
@@ -14,7 +14,8 @@ from typing import Any
 import gymnasium
 from gymnasium.envs.registration import WrapperSpec
 
-from bulletarm_gym.config_checks import ParameterError, check_argument, instance, instances, listed, rule
+from bulletarm_gym import config_checks as checks
+from bulletarm_gym.config_checks import Check, ParameterError, Refused, check_argument
 
 VARIABLE = "BULLETARM_GYM_REGISTERED"
 """Environment variable in which a process publishes its registrations, as JSON, for child processes."""
@@ -77,6 +78,10 @@ def registered_path(component: Any) -> str:
     return path
 
 
+NAME = checks.rule("an identifier", str.isidentifier)
+"""Check of names of components."""
+
+
 @dataclass
 class Registry:
     """Components of one kind, found by name or by import path ``"module:attribute"``.
@@ -84,12 +89,12 @@ class Registry:
     A registered component is kept as its import path, so that worker processes can import it.
 
     :param kind: name of the kind, the parameter of environments that selects a component
-    :param convert: returns the component for an imported object; raises ``ValueError`` with the constraint
-    :param source: import path of the built-in components by name, or ``""`` if there are none
+    :param check: check of an imported object, which returns the component
+    :param source: import path, in this package, of the built-in components by name; ``""`` if there are none
     """
 
     kind: str
-    convert: Callable[[Any], Any]
+    check: Check
     source: str = ""
     paths: dict[str, str] = field(init=False)
     """Import paths of the registered components, by name."""
@@ -101,7 +106,7 @@ class Registry:
     @cached_property
     def builtin(self) -> Mapping[str, Any]:
         """The components of this package, by name."""
-        found: Mapping[str, Any] = load(self.source) if self.source else {}
+        found: Mapping[str, Any] = load(f"bulletarm_gym.{self.source}") if self.source else {}
         return found
 
     @property
@@ -116,8 +121,7 @@ class Registry:
         :param component: class or function at the top level of a module, or its import path
         :raises ValueError: the name is not an identifier or is in use, or the component has no import path
         """
-        if not (isinstance(name, str) and name.isidentifier()):
-            raise ValueError(f"name must be an identifier, got {name!r}")
+        check_argument("name", name, NAME)
         if name in self.builtin:
             raise ValueError(f"name must be unused, got {name!r}, a built-in {self.kind}")
         path = registered_path(component)
@@ -145,16 +149,16 @@ class Registry:
             must = f"one of {names}or 'module:attribute'" if names else "'module:attribute'"
             raise ParameterError.of(parameter or self.kind, source, must, str(error)) from error
         try:
-            return self.convert(found)
-        except ValueError as error:
-            raise ParameterError.of(parameter or self.kind, source, str(error)) from error
+            return self.check(found)
+        except Refused as refused:
+            raise ParameterError.of(parameter or self.kind, source, str(refused)) from refused
 
 
 def _subclass(path: str, found: Any) -> Any:
-    """Return a class if it is a subclass of the class at an import path."""
-    base = load(path)
+    """Return a class if it is a subclass of the class at an import path in this package."""
+    base = load(f"bulletarm_gym.{path}")
     if not (isinstance(found, type) and issubclass(found, base)):
-        raise ValueError(f"a subclass of {base.__name__}")
+        raise Refused(f"a subclass of {base.__name__}")
     return found
 
 
@@ -163,32 +167,23 @@ def _robot_model(found: Any) -> Any:
     try:
         model = found() if callable(found) else found
     except TypeError as error:
-        raise ValueError(f"a RobotModel or a function without arguments ({error})") from error
+        raise Refused(f"a RobotModel or a function without arguments ({error})") from error
     if not isinstance(model, load("bulletarm_gym.robots.model:RobotModel")):
-        raise ValueError(f"a RobotModel or a function that returns one, not a {type(model).__name__}")
+        raise Refused(f"a RobotModel or a function that returns one, not a {type(model).__name__}")
     return model
 
 
-def _function(found: Any) -> Any:
-    if not callable(found):
-        raise ValueError(f"a function, not a {type(found).__name__}")
-    return found
-
-
-TASKS = Registry("task", partial(_subclass, "bulletarm_gym.tasks.task:Task"))
-REWARDS = Registry("reward", _function)
-ROBOTS = Registry("robot", _robot_model, "bulletarm_gym.robots:ROBOTS")
-OBJECTS = Registry("object", _function, "bulletarm_gym.objects.catalogue:KINDS")
-_SURFACE = partial(_subclass, "bulletarm_gym.surfaces.surface:Surface")
-SURFACES = Registry("surface", _SURFACE, "bulletarm_gym.surfaces:SURFACES")
-_SENSOR = partial(_subclass, "bulletarm_gym.observations.sensor:Sensor")
-SENSORS = Registry("sensor", _SENSOR, "bulletarm_gym.observations.observer:SENSORS")
-_CONTROL = partial(_subclass, "bulletarm_gym.control.control:Control")
-CONTROLS = Registry("control", _CONTROL, "bulletarm_gym.control:CONTROLS")
-KINDS = rule(
+TASKS = Registry("task", partial(_subclass, "tasks:Task"))
+REWARDS = Registry("reward", checks.function)
+ROBOTS = Registry("robot", _robot_model, "robots:ROBOTS")
+OBJECTS = Registry("object", checks.function, "objects.catalogue:KINDS")
+SURFACES = Registry("surface", partial(_subclass, "surfaces:Surface"), "surfaces:SURFACES")
+SENSORS = Registry("sensor", partial(_subclass, "observations:Sensor"), "observations.observer:SENSORS")
+CONTROLS = Registry("control", partial(_subclass, "control:Control"), "control:CONTROLS")
+KINDS = checks.rule(
     "a tuple of 'close_loop' and 'open_loop'",
     {"close_loop", "open_loop"}.issuperset,
-    instances(str, "kinds", can_be_empty=False),
+    checks.instances(str, "kinds", can_be_empty=False),
 )
 """Check of the kinds of controls of a task."""
 
@@ -219,10 +214,10 @@ def find_combination(task: Any, control: Any) -> tuple[Any, Any]:
     task_type, control_type = TASKS.find(task), CONTROLS.find(control)
     defaults: type = load("bulletarm_gym.config:TaskDefaults")
     for owner, name, check in (
-        (task_type, "defaults", instance(defaults)),
+        (task_type, "defaults", checks.instance(defaults)),
         (task_type, "controls", KINDS),
-        (control_type, "kind", instance(str)),
-        (control_type, "sequences", instances(str, "texts")),
+        (control_type, "kind", checks.instance(str)),
+        (control_type, "sequences", checks.instances(str, "texts")),
     ):
         check_argument(f"{name} of {owner.__name__}", getattr(owner, name, None), check)
     if control_type.kind not in task_type.controls:
@@ -245,7 +240,7 @@ def by_path(parameters: Mapping[str, Any]) -> dict[str, Any]:
         if registry.kind in found:
             found[registry.kind] = registry.path(found[registry.kind])
     for name, convert in (("object_set", OBJECTS.path), ("observation", _sensor_by_path)):
-        if (entries := listed(found.get(name))) is not None:
+        if (entries := checks.listed(found.get(name))) is not None:
             found[name] = [convert(entry) for entry in entries]
     return found
 
@@ -346,8 +341,7 @@ def register_task(name: str, task: Any, control: str = "close_loop", surface: st
     :raises ValueError: the name is not an identifier or is in use, the control or surface is unknown, the
         two cannot be combined with the task, or the class has no import path
     """
-    if not (isinstance(name, str) and name.isidentifier()):
-        raise ValueError(f"name must be an identifier such as 'BlockShaking', got {name!r}")
+    check_argument("name", name, NAME)
     for registry, chosen in ((CONTROLS, control), (SURFACES, surface)):
         if chosen not in registry.names:
             raise ParameterError.of(registry.kind, chosen, f"one of {', '.join(map(repr, registry.names))}")

@@ -15,15 +15,9 @@ from bulletarm_gym.check.conformance import check_environment, draw_episode
 from bulletarm_gym.check.environments import check_environments
 from bulletarm_gym.check.machine import report
 from bulletarm_gym.check.robot import check_robot, draw
-from bulletarm_gym.command_line import add_environment_arguments, make_env, positive_int, reported_errors
+from bulletarm_gym.command_line import add_environment_arguments, integer_from, make_env, reported_errors
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.registry import ROBOTS
-
-SECONDS = 2.0
-"""Default duration (s) of each speed measurement."""
-EPISODES = 20
-"""Default number of episodes of an expert."""
-FAILED = 2
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -31,9 +25,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser("python -m bulletarm_gym.check", description=__doc__)
     add = parser.add_argument
     add("env", nargs="*", metavar="ID", help="ids of environments to check with their experts")
-    add("-n", "--episodes", type=positive_int, default=EPISODES, help=f"episodes per expert ({EPISODES})")
+    add("-n", "--episodes", type=integer_from(1), default=20, help="episodes per expert (%(default)s)")
     add_environment_arguments(parser)
-    add("--seconds", type=float, default=SECONDS, help=f"duration of each speed measurement ({SECONDS:g} s)")
+    add("--seconds", type=float, default=2.0, help="duration of each speed measurement (%(default)g s)")
     add("--robot", metavar="NAME", help="name of a robot, or module:attribute of a RobotModel")
     add("--workspace", type=float, nargs=6, metavar=("X0", "X1", "Y0", "Y1", "Z0", "Z1"), help="limits (m)")
     text = "image to write of the robot, or of an expert's episode"
@@ -49,7 +43,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         failed = [" ".join(str(error).split())]
     if failed:
         print(f"failed: {', '.join(failed)}", file=sys.stderr)
-    return FAILED if failed else 0
+    return 2 if failed else 0
 
 
 def _image_path(text: str) -> Path:

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from gymnasium.utils.env_checker import check_env, data_equivalence
@@ -44,11 +43,11 @@ def check_environment(make: Make, episodes: int, seed: int) -> Iterator[Finding]
 
 
 def _describe(error: Exception) -> str:
-    """Return the message of an error in one line, with its place in the code if it is outside this module."""
+    """Return the message of an error with its place in the code, if it is outside this module."""
     *_, place = traceback.extract_tb(error.__traceback__)
     if place.filename == __file__:
         return str(error)
-    return " ".join(f"{type(error).__name__}: {error} ({place.filename}, line {place.lineno})".split())
+    return f"{type(error).__name__}: {error} ({place.filename}, line {place.lineno})"
 
 
 def _check_gymnasium(make: Make) -> str:
@@ -81,7 +80,8 @@ def _check_copies(make: Make, seed: int, restores: bool) -> str:
         for number in range(2):
             start = first.reset(seed=seed + number)
             if not restores:
-                _require_equal(start, second.reset(seed=seed + number), f"reset(seed) differs {where}")
+                again = second.reset(seed=seed + number)
+                assert data_equivalence(start, again, exact=True), f"reset(seed) differs {where}"
             for step in range(25):
                 if restores:
                     second.set_state(first.get_state())
@@ -93,17 +93,14 @@ def _check_copies(make: Make, seed: int, restores: bool) -> str:
 def _step_both(first: ManipulationEnv, second: ManipulationEnv, where: str) -> bool:
     """Carry out an expert action in two environments, and return True if the episode is over."""
     action = first.expert_action()
-    _require_equal(action, second.expert_action(), f"the expert's action {where}")
+    other_action = second.expert_action()
+    assert data_equivalence(action, other_action, exact=True), f"the expert's action {where}"
     result, other = first.step(action), second.step(action)
     worlds = first.scene.world, second.scene.world
     for pose, other_pose, body in zip(worlds[0].poses, worlds[1].poses, worlds[0].bodies, strict=True):
         assert pose == other_pose, f"the pose of {body.spec.name!r} {where}"
-    _require_equal(result, other, f"the return value of step() {where}")
+    assert data_equivalence(result, other, exact=True), f"the return value of step() {where}"
     return result[2] or result[3]
-
-
-def _require_equal(first: Any, second: Any, message: str) -> None:
-    assert data_equivalence(first, second, exact=True), message
 
 
 def _check_expert(make: Make, episodes: int, seed: int) -> str:

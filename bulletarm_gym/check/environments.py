@@ -74,7 +74,7 @@ def robot(name: str) -> Finding:
                 if success:
                     return Finding(name, f"picked a block in {steps} steps")
     except Exception as error:  # every error is a finding
-        value = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        value = f"{type(error).__name__}: {error}"
     return Finding(name, value, "report this output to the maintainers", fails=True)
 
 

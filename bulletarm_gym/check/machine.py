@@ -26,7 +26,7 @@ def report(findings: Iterable[Finding]) -> list[str]:
     failed = []
     for finding in findings:
         mark = "FAILED" if finding.fails else "note" if finding.advice else "ok"
-        print(f"{mark:<6}  {finding.what}: {finding.value}", flush=True)
+        print(f"{mark:<6}  {finding.what}: {' '.join(finding.value.split())}", flush=True)
         if finding.advice:
             print(f"        -> {finding.advice}")
         failed += [finding.what] * finding.fails

@@ -23,7 +23,7 @@ from bulletarm_gym.robots.kinematics import POSITION_TOLERANCE
 from bulletarm_gym.simulation import Camera
 from bulletarm_gym.simulation.world import TIME_STEP
 
-Limits = Sequence[Sequence[float]]
+Limits = list[list[float]]
 """[low, high] (m) along x, y and, in a workspace, z."""
 
 TILT = math.radians(30.0)
@@ -114,7 +114,7 @@ def check_robot(model: RobotModel, workspace: Limits | None = None) -> Iterator[
             solutions += upright
         yield Finding("largest workspace", f"in reach upright: {largest_workspace(model) or 'none'}")
     except ValueError as error:  # a joint is missing, or the URDF cannot be simulated
-        yield Finding("model", " ".join(str(error).split()), "correct the model or its URDF", fails=True)
+        yield Finding("model", str(error), "correct the model or its URDF", fails=True)
         return
     solved = [one for one in solutions if one.is_solved]
     worst = max((one.pose_error for one in solved), default=0.0)
@@ -124,7 +124,7 @@ def check_robot(model: RobotModel, workspace: Limits | None = None) -> Iterator[
     try:
         env = _make(model, workspace)
     except ParameterError as error:
-        yield Finding("environment", " ".join(str(error).split()), "see the lines above", fails=True)
+        yield Finding("environment", str(error), "see the lines above", fails=True)
         return
     with closing(env):
         yield _self_collision(env, solved)
@@ -147,14 +147,14 @@ def _solve(model: RobotModel, poses: Iterable[Pose]) -> list[Solution]:
 
 
 def _home(workspace: Limits | None) -> Pose:
-    limits = [list(side) for side in workspace or WORKSPACES[CLOSE_LOOP]]
+    limits = workspace or WORKSPACES[CLOSE_LOOP]
     (x0, x1), (y0, y1), _ = limits
     return Pose.planar((x0 + x1) / 2.0, (y0 + y1) / 2.0, default_home_height(CLOSE_LOOP, limits))
 
 
 def _make(model: RobotModel, workspace: Limits | None, **parameters: Any) -> ManipulationEnv:
     if workspace is not None:
-        parameters["workspace"] = [list(side) for side in workspace]
+        parameters["workspace"] = workspace
     scale = min(1.0, 0.6 * model.gripper.stroke / 0.05)  # a cube of scale 1 has 5 cm
     parameters |= {"robot": model, "object_scale_range": scale}
     env = gymnasium.make("BulletArm/CloseLoopBlockReaching-v0", **parameters).unwrapped

@@ -18,7 +18,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 import bulletarm_gym  # noqa: F401 (registers the environments)
-from bulletarm_gym.command_line import add_environment_arguments, make_env, positive_int, reported_errors
+from bulletarm_gym.command_line import add_environment_arguments, integer_from, make_env, reported_errors
 from bulletarm_gym.config import OPEN_LOOP
 from bulletarm_gym.demonstrations import RecordDemonstrations
 from bulletarm_gym.env import Action, ManipulationEnv
@@ -125,7 +125,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     add = parser.add_argument
     add("env", metavar="ID", help="id of the environment")
     add("--record", type=Path, metavar="FILE", help="file of demonstrations; successful episodes are added")
-    add("-n", "--episodes", type=positive_int, help="number of episodes (no limit)")
+    add("-n", "--episodes", type=integer_from(1), help="number of episodes (no limit)")
     add("--no-window", action="store_true", help="read letters and write images, even if there is a display")
     add("-f", "--folder", type=Path, default=Path("play"), help="folder of the images (play)")
     add_environment_arguments(parser)

@@ -157,16 +157,16 @@ class Arm:
         if not self.reaches(pose):
             return False
         goal = self.inverse_kinematics(pose)
-        if max(_changes(self.joint_positions, goal)) >= MAX_JOINT_CHANGE:
+        if np.abs(np.subtract(goal, self.joint_positions)).max() >= MAX_JOINT_CHANGE:
             return False
         return self._is_straight(pose, goal) or self.wrist_room(pose) > self.wrist_room()
 
     def _is_straight(self, pose: Pose, goal: Sequence[float]) -> bool:
         """Return True if the middle of a joint motion is near the straight line to a pose."""
-        now = self.joint_positions
-        if max(_changes(now[:-1], goal[:-1])) < STRAIGHT_JOINT_CHANGE:
+        now = np.array(self.joint_positions)
+        if np.abs(goal - now)[:-1].max() < STRAIGHT_JOINT_CHANGE:
             return True
-        middle = self.model.chain.forward((np.array(now) + goal) / 2.0)
+        middle = self.model.chain.forward((now + goal) / 2.0)
         off = math.dist(middle.position, interpolate(self.pose, pose, 0.5).position)
         return off < MAX_SAG * path_length(self.pose, pose)
 
@@ -175,10 +175,6 @@ class Arm:
         joints = self.joint_positions if pose is None else self.inverse_kinematics(pose)
         low, high = self._wrist_limits
         return min(joints[-1] - low, high - joints[-1])
-
-
-def _changes(start: Sequence[float], end: Sequence[float]) -> list[float]:
-    return [abs(after - before) for before, after in zip(start, end, strict=True)]
 
 
 FREE_CLEARANCE = 0.004
@@ -220,17 +216,18 @@ class CollidingArm(Arm):
 
     def is_free_at(self, pose: Pose, bodies: Sequence[Body]) -> bool:
         """Return True if the robot at a pose in reach would touch none of some bodies."""
-        return self._is_free([self._arm.moved(self.world, self._solve(pose))], bodies)
+        return self._is_free(self._arm, [self._solve(pose)], bodies)
 
-    def _is_free(self, samples: Iterable[Sequence[float]], bodies: Sequence[Body]) -> bool:
-        """Return True if the robot touches none of some bodies at all samples of its joint positions."""
-        free = not bodies or all(self._is_free_with(sample, bodies) for sample in samples)
+    def _is_free(self, group: JointGroup, samples: Iterable[Sequence[float]], bodies: Sequence[Body]) -> bool:
+        """Return True if the robot touches none of some bodies at all samples of a group's positions."""
+
+        def is_free_with(positions: Sequence[float]) -> bool:
+            self.world.show_joints(self.body, group.moved(self.world, positions))
+            return not any(self.world.are_near(self.body, body, FREE_CLEARANCE) for body in bodies)
+
+        free = not bodies or all(map(is_free_with, samples))
         self.world.set_joints(self.body, self.world.joints[self.body.index])
         return free
-
-    def _is_free_with(self, joints: Sequence[float], bodies: Sequence[Body]) -> bool:
-        self.world.show_joints(self.body, joints)
-        return not any(self.world.are_near(self.body, body, FREE_CLEARANCE) for body in bodies)
 
     def _bodies_above(self, height: float) -> list[Body]:
         return [body for body in self.world.obstacles if self.world.top(body) > height]

@@ -18,7 +18,6 @@ from bulletarm_gym.robots.gripper import JOINTS, Gripper
 from bulletarm_gym.robots.kinematics import Chain, Frames, advance, apply, dot, product
 from bulletarm_gym.robots.structure import prepare
 from bulletarm_gym.simulation import Body
-from bulletarm_gym.simulation.motion import RISE
 from bulletarm_gym.simulation.urdf import find, find_root, to_text
 from bulletarm_gym.simulation.world import GRAVITY, TIME_STEP
 
@@ -211,7 +210,7 @@ class Dynamics:
         torques: FloatArray = _torques(self._model(load), *motion)[:-1]
         return torques
 
-    def least_steps(self, path: FloatArray, limits: FloatArray, load: float, rise: float = RISE) -> int:
+    def least_steps(self, path: FloatArray, limits: FloatArray, load: float, rise: float) -> int:
         """Return the minimum number of simulation steps of a motion along a path.
 
         The torque is the static torque plus a part inversely proportional to the square of the duration. Both

@@ -285,8 +285,7 @@ class Robot(CollidingArm):
         samples = motion.interpolate_path(
             [self.joint_positions, *stops], np.arange(1, count + 1) / count
         ).tolist()
-        joints = (self._arm.moved(self.world, sample) for sample in samples)
-        return self._is_free(joints, self._bodies_above(lowest - CLEAR_ABOVE))
+        return self._is_free(self._arm, samples, self._bodies_above(lowest - CLEAR_ABOVE))
 
     def _jump(self, goal: Sequence[float]) -> bool:
         """Set the joint positions, unless robot or grasped object then touch something else."""
@@ -306,5 +305,4 @@ class Robot(CollidingArm):
             return False
         near = self._bodies_above(self.model.gripper.lowest(self.pose) - CLEAR_ABOVE)
         openings = np.linspace(self.opening, command, OPENING_SAMPLES + 1).tolist()
-        joints = (self._fingers.moved(self.world, [opening / 2.0] * 2) for opening in openings)
-        return self._is_free(joints, near)
+        return self._is_free(self._fingers, ([opening / 2.0] * 2 for opening in openings), near)

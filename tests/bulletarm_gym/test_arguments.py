@@ -135,6 +135,7 @@ def test_methods_name_the_argument(picking):
         ("root", "None"): partial(attach, None, "link", KUKA.load(), cube.pose),
         ("mount", r"\(0\.0"): partial(attach, KUKA.load(), "link", KUKA.load(), (0.0, 0.0, 0.0)),
         ("flange", r"\(0\.0"): partial(ParallelJaw.tool, JAW, (0.0, 0.0, 0.0)),
+        ("robot", "<function"): partial(gymnasium.make, PICKING, robot=lambda: 3),
         ("component", "3"): partial(bulletarm_gym.register_sensor, "number", 3),
     }
     for (name, value), call in calls.items():
