@@ -189,11 +189,7 @@ class View:
     """
 
     def __init__(
-        self,
-        scene: Scene,
-        frame: Frame,
-        overlays: Sequence[Overlay] = (),
-        measure: Measure | None = None,
+        self, scene: Scene, frame: Frame, overlays: Sequence[Overlay], measure: Measure | None
     ) -> None:
         self._scene = scene
         self.measure = measure
