@@ -265,7 +265,6 @@ class ResetOptions(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs)
         return self.env.reset(seed=seed, options=given)
 
 
-Wrapper = gymnasium.Wrapper[Any, Any, Any, Any]
 Inverse = Callable[[Any], Any]
 
 
@@ -291,7 +290,7 @@ def wrapped_expert(env: gymnasium.Env[Any, Any], expert: Callable[[], Any]) -> C
     return lambda: reduce(lambda action, inverse: inverse(action), inverses, expert())
 
 
-def _inverses(wrapper: Wrapper) -> list[Inverse]:
+def _inverses(wrapper: gymnasium.Wrapper[Any, Any, Any, Any]) -> list[Inverse]:
     """Return the inverse of a wrapper's change of actions; an empty list if it changes none."""
     own: Inverse | None = getattr(wrapper, "revert_action", None)
     if own is not None and not isinstance(wrapper, DiscretizeAction):  # which returns the nearest bin
