@@ -96,14 +96,13 @@ CloseLoopObjectGrasping 5 7 50 100
 """Environments of the paper's Close-Loop 3D and 4D Benchmarks."""
 
 
-def _environment(row: str, in_hand_size: int | None) -> BenchmarkEnv:
-    name, *numbers = row.split()
-    objects, optimal, most, episodes = map(int, numbers)
-    return BenchmarkEnv(f"{NAMESPACE}/{name}-v0", objects, optimal, most, episodes, in_hand_size)
-
-
 def _environments(table: str, in_hand_size: int | None = None) -> tuple[BenchmarkEnv, ...]:
-    return tuple(_environment(row, in_hand_size) for row in table.strip().splitlines())
+    rows = []
+    for line in table.strip().splitlines():
+        name, *numbers = line.split()
+        objects, optimal, most, episodes = map(int, numbers)
+        rows.append(BenchmarkEnv(f"{NAMESPACE}/{name}-v0", objects, optimal, most, episodes, in_hand_size))
+    return tuple(rows)
 
 
 _BASIC, _DELTA = _environments(OPEN_LOOP, IN_HAND), _environments(CLOSE_LOOP)

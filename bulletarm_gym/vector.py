@@ -187,16 +187,19 @@ def reset_to_states(envs: VectorEnv[Any, Any, Any], states: Iterable[EnvState]) 
     states = list(check_argument("states", states, instance(Iterable)))
     if len(states) != envs.num_envs:
         raise ValueError(f"states must be {envs.num_envs} states, one per member, got {len(states)}")
-    observations, infos = envs.reset()  # members of several tasks have different states and infos
+    envs.reset()  # the first reset must be of all members
+    infos: dict[str, Any] = {}
     for number, state in enumerate(states):
         mask = np.arange(envs.num_envs) == number
         observations, later = envs.reset(options={"state": state, "reset_mask": mask})
-        infos = _merged(infos, later, mask)
+        _merge(infos, later, mask)
     return observations, infos
 
 
-def _merged(value: Any, later: Any, mask: Any) -> Any:
-    """Return infos, or an entry of infos, with the later values of the members in a mask."""
-    if isinstance(value, dict):
-        return {name: _merged(entry, later.get(name, entry), mask) for name, entry in value.items()}
-    return np.where(mask, later, value)
+def _merge(infos: dict[str, Any], later: Mapping[str, Any], mask: NDArray[np.bool_]) -> None:
+    """Add the infos of the members in a mask."""
+    for name, entry in later.items():
+        if isinstance(entry, dict):
+            _merge(infos.setdefault(name, {}), entry, mask)
+        else:
+            infos.setdefault(name, entry)[mask] = entry[mask]

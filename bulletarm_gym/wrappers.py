@@ -4,6 +4,7 @@ import sys
 from collections.abc import Callable, Mapping
 from copy import deepcopy
 from dataclasses import replace
+from functools import reduce
 from typing import Any
 
 import gymnasium
@@ -96,7 +97,7 @@ def _image_boxes(space: spaces.Space[Any]) -> dict[str, spaces.Box]:
 
     :raises ValueError: the space has no image, or a part that cannot be a channel
     """
-    named: dict[str, Any] = dict(space.items()) if isinstance(space, spaces.Dict) else {"": space}
+    named: dict[str, Any] = dict(space) if isinstance(space, spaces.Dict) else {}
     kinds = {
         name: len(box.shape) if isinstance(box, spaces.Box) and box.is_bounded() else 0
         for name, box in named.items()
@@ -158,13 +159,12 @@ class GoalObservation(gymnasium.ObservationWrapper[Any, Any, Any], RecordConstru
     def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
         RecordConstructorArgs.__init__(self)
         super().__init__(env)
-        core: Any = check_argument("env", env, OWN).unwrapped
-        self._core = core
+        self._core: Any = check_argument("env", env, OWN).unwrapped
         self._inner = env.observation_space
         parts = self._inner.values() if isinstance(self._inner, spaces.Dict) else [self._inner]
         if not all(isinstance(space, spaces.Box) and len(space.shape) == 1 for space in parts):
             raise ValueError(f"env must observe vectors, got {self._inner}. Use 'joint_state'.")
-        achieved, _ = core.task.goals(core.scene)
+        achieved, _ = self._core.task.goals(self._core.scene)
         goal = spaces.Box(-np.inf, np.inf, achieved.shape, np.float64)
         observation = spaces.flatten_space(self._inner)
         self.observation_space = spaces.Dict(observation=observation, achieved_goal=goal, desired_goal=goal)
@@ -265,7 +265,6 @@ class ResetOptions(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs)
         return self.env.reset(seed=seed, options=given)
 
 
-Wrapper = gymnasium.Wrapper[Any, Any, Any, Any]
 Inverse = Callable[[Any], Any]
 
 
@@ -288,17 +287,10 @@ def wrapped_expert(env: gymnasium.Env[Any, Any], expert: Callable[[], Any]) -> C
             inverses += _inverses(caller)
             inner = caller
         frame = frame.f_back  # type: ignore[assignment]
-
-    def act() -> Any:
-        action = expert()
-        for inverse in inverses:
-            action = inverse(action)
-        return action
-
-    return act if inverses else expert
+    return lambda: reduce(lambda action, inverse: inverse(action), inverses, expert())
 
 
-def _inverses(wrapper: Wrapper) -> list[Inverse]:
+def _inverses(wrapper: gymnasium.Wrapper[Any, Any, Any, Any]) -> list[Inverse]:
     """Return the inverse of a wrapper's change of actions; an empty list if it changes none."""
     own: Inverse | None = getattr(wrapper, "revert_action", None)
     if own is not None and not isinstance(wrapper, DiscretizeAction):  # which returns the nearest bin

@@ -1,10 +1,11 @@
 """Collection of episodes of experts (paper, Expert Demonstrations)."""
 
 import fcntl
+import itertools
 import json
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import closing
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from bulletarm_gym.config_checks import check_argument, choice, fraction, intege
 from bulletarm_gym.demonstrations import json_state
 from bulletarm_gym.demonstrations.episodes import Demonstrations, Episode, Recorder, Step, load
 from bulletarm_gym.env import Action, ManipulationEnv, Observation
+from bulletarm_gym.experts import Waypoint
 from bulletarm_gym.experts.pick_place import deconstruct
 from bulletarm_gym.geometry import PlacementError
 from bulletarm_gym.scene.state import EnvState
@@ -73,7 +75,7 @@ def collect(
         recorder = Recorder({**describe(core), "planner": planner, "seed": seed, "noise": noise})
         with tqdm(desc=planner, total=episodes, unit="episode", disable=is_silent) as bar:
             while len(recorder) < episodes and recorder.attempts < most:
-                episode = PLANNERS[planner](core, int(rng.integers(2**31)), noise)
+                episode = _attempt(core, planner, int(rng.integers(2**31)), noise)
                 recorder.add(episode)
                 bar.update(episode is not None)
     if len(recorder) < episodes:
@@ -88,7 +90,7 @@ def collect(
 
 def _check_planner(planner: str, env: ManipulationEnv, noise: float) -> None:
     """Raise ValueError with the reason if a planner cannot be used with an environment."""
-    check_argument("planner", planner, choice(*PLANNERS))
+    check_argument("planner", planner, choice(WAYPOINT, DECONSTRUCTION))
     obstacles = {
         "only pick and place can be reversed, not closed-loop actions": env.config.control != OPEN_LOOP,
         f"{type(env.task).__name__} has no arrange_goal()": not env.task.has_goal_structure,
@@ -100,47 +102,11 @@ def _check_planner(planner: str, env: ManipulationEnv, noise: float) -> None:
         raise ParameterError.of("planner", planner, repr(WAYPOINT), reasons[0])
 
 
-def _follow_plan(env: ManipulationEnv, seed: int, noise: float) -> Episode | None:
-    """Run an episode of the task's expert."""
-    observation, _ = env.reset(seed=seed)
-    return _play(env, seed, observation, _expert_actions(env, np.random.default_rng((seed, NOISE)), noise))
-
-
-def _expert_actions(env: ManipulationEnv, rng: np.random.Generator, noise: float) -> Iterator[Action]:
-    while True:
-        action = env.expert_action()
-        if noise:
-            noisy = action + noise * rng.standard_normal(action.shape)
-            action = noisy.clip(-1.0, 1.0).astype(np.float32)
-        yield action
-
-
-def _rebuild(env: ManipulationEnv, seed: int, noise: float) -> Episode | None:
-    """Take the finished structure apart, and run an episode that builds it again."""
-    _, info = env.reset(seed=seed, options={"start": "goal"})
-    try:
-        waypoints = deconstruct(env.scene, np.random.default_rng((seed, TAKING_APART)))
-    except PlacementError:
-        return None
-    env.scene.begin()
-    env.scene.settle()
-    actions = (env.encode_action(env.tracker.next_move(iter([waypoint]))) for waypoint in waypoints)
-    return _play(env, seed, env.observe(), actions) if info["is_success"] else None
-
-
-PLANNERS: dict[str, Callable[[ManipulationEnv, int, float], Episode | None]] = {
-    WAYPOINT: _follow_plan,
-    DECONSTRUCTION: _rebuild,
-}
-"""Functions that return the episode of an attempt, or None if it fails."""
-
-
-def _play(
-    env: ManipulationEnv, seed: int, observation: Observation, actions: Iterable[Action]
-) -> Episode | None:
-    """Act until the episode or the actions end; return the episode if it succeeds."""
+def _attempt(env: ManipulationEnv, planner: str, seed: int, noise: float) -> Episode | None:
+    """Act until the episode or the planner's actions end; return the episode if it succeeds."""
+    actions = _expert_actions(env, seed, noise) if planner == WAYPOINT else _building_actions(env, seed)
     initial_state = json_state.dumps(env.get_state())
-    observations, succeeds = [observation], False
+    observations, succeeds = [env.observe()], False
     steps: list[Step] = []
     for action in actions:
         observation, reward, terminated, truncated, info = env.step(action)
@@ -150,6 +116,27 @@ def _play(
         if terminated or truncated:
             break
     return Episode.of(observations, steps, seed, initial_state) if succeeds else None
+
+
+def _expert_actions(env: ManipulationEnv, seed: int, noise: float) -> Iterator[Action]:
+    """Begin an episode, and return the endless actions of the task's expert."""
+    env.reset(seed=seed)
+    actions = (env.expert_action() for _ in itertools.count())
+    rng = np.random.default_rng((seed, NOISE))
+    noisy = (action + noise * rng.standard_normal(action.shape) for action in actions)
+    return (action.clip(-1.0, 1.0).astype(np.float32) for action in noisy) if noise else actions
+
+
+def _building_actions(env: ManipulationEnv, seed: int) -> Iterator[Action]:
+    """Take the finished structure apart, and return the actions that build it again; none if this fails."""
+    _, info = env.reset(seed=seed, options={"start": "goal"})
+    waypoints: Sequence[Waypoint] = ()
+    if info["is_success"]:
+        with suppress(PlacementError):
+            waypoints = deconstruct(env.scene, np.random.default_rng((seed, TAKING_APART)))
+    env.scene.begin()
+    env.scene.settle()
+    return (env.encode_action(env.tracker.next_move(iter([waypoint]))) for waypoint in waypoints)
 
 
 def describe(env: ManipulationEnv) -> dict[str, Any]:

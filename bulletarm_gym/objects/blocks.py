@@ -85,9 +85,9 @@ def improvise_bricks(name: str, scale: float, count: int) -> tuple[BodySpec, ...
     planes, heights = rng.uniform(*IMPROVISE_WIDTH, (count, 2)), rng.uniform(*IMPROVISE_HEIGHT, count)
     side, lengths = CUBE_SIZE * scale, planes[:, 1] * BRICK_LENGTH * scale
     extents = np.stack([planes[:, 0] * side, lengths, heights * side], axis=1).tolist()
-    pieces = [block((x, y, z)) for x, y, z in extents]
     return tuple(
-        BodySpec(f"{name} {number}", (piece,), MASS, colour=BLUE) for number, piece in enumerate(pieces)
+        BodySpec(f"{name} {number}", (block((x, y, z)),), MASS, colour=BLUE)
+        for number, (x, y, z) in enumerate(extents)
     )
 
 

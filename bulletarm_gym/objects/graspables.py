@@ -100,8 +100,7 @@ def _vase(
 
 
 @_family(4, (0.021, 0.026), (0.026, 0.031), (0.06, 0.09))
-def _cup(low: float, high: float, height: float) -> list[Piece]:
-    wall = 0.005
+def _cup(low: float, high: float, height: float, wall: float = 0.005) -> list[Piece]:
     return vessel((low - wall, low, 0.0), (high - wall, high, height), wall)
 
 
@@ -116,8 +115,7 @@ def _mug(radius: float, height: float, reach: float) -> list[Piece]:
 
 @_family(4, (0.022, 0.026), (0.04, 0.048), (0.035, 0.048))
 def _bowl(low: float, high: float, height: float) -> list[Piece]:
-    wall = 0.006
-    return vessel((low - wall, low, 0.0), (high - wall, high, height), wall)
+    return _cup(low, high, height, wall=0.006)
 
 
 @_family(4, (0.022, 0.035), (0.02, 0.032), (0.08, 0.12), (0.05, 0.08))

@@ -55,13 +55,10 @@ def heightmap(heights: Heights, frame: Frame) -> Heights:
     :param heights: (size, size) m above the world's z = 0 over the frame's square
     :return: (1, size, size) m, within [0, 0.4]
     """
-    if frame.plane is None:
-        image = (heights - np.float32(frame.origin.z)).clip(0.0, MAX_HEIGHT)
-    else:
-        image = np.clip(np.float32(frame.plane) - heights, 0.0, MAX_HEIGHT)
-    if frame.fingers:
-        image[rectangle_mask(Window(frame.centre, frame.extent, len(image)), frame.fingers)] = 0.0
-    return image[None]
+    origin, plane = np.float32(frame.origin.z), frame.plane
+    image = heights - origin if plane is None else np.float32(plane) - heights
+    image[rectangle_mask(Window(frame.centre, frame.extent, len(image)), frame.fingers)] = 0.0
+    return image[None].clip(0.0, MAX_HEIGHT)
 
 
 class LabelImage(Sensor):
@@ -88,7 +85,9 @@ class Color(LabelImage):
     def read(self, view: View) -> NDArray[np.uint8]:
         """Return the colour of the body under the centre of each pixel, or of the ground."""
         world = self.scene.world
-        colours = [world.get_properties(world.ground).colour, *HeightRenderer.of(self.scene).colours]
+        colours = [world.get_properties(world.ground).colour]
+        for body in world.visible:
+            colours += [world.get_properties(body).colour, *(part.colour for part in body.spec.parts)]
         palette = np.rint(255.0 * np.array(colours)[:, :3].T).astype(np.uint8)
         image: NDArray[np.uint8] = np.take(palette, view.labels, axis=1)
         image[:, view.fingers] = np.array(FINGER_COLOUR, np.uint8)[:, None]

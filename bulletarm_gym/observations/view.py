@@ -17,7 +17,6 @@ from bulletarm_gym.observations.rasterizer import Labels, Window, ZBuffer, proje
 from bulletarm_gym.scene import Scene
 from bulletarm_gym.simulation import Body, Camera
 from bulletarm_gym.simulation.camera import Measure
-from bulletarm_gym.simulation.shapes import Colour
 from bulletarm_gym.simulation.state import NOMINAL, Optics
 
 MAX_HEIGHT = 0.4
@@ -158,18 +157,6 @@ class HeightRenderer:
             self._draw(self._present(without) & layer, window, labels, self._world.optics)
         return labels
 
-    @property
-    def colours(self) -> list[Colour]:
-        """Present colour of each rendered mesh."""
-        return [
-            colour
-            for body in self._world.visible
-            for colour in (
-                self._world.get_properties(body).colour,
-                *(part.colour for part in body.spec.parts),
-            )
-        ]
-
     def _present(self, without: Body | None = None) -> NDArray[np.bool_]:
         """Return a mask of the meshes in the scene."""
         present: NDArray[np.bool_] = np.array(self._world.active, np.bool_)[self._owners]
@@ -182,21 +169,17 @@ class HeightRenderer:
         labels: Labels | None = None,
         optics: Optics = NOMINAL,
     ) -> NDArray[np.float32]:
-        positions, rotations = self._poses()
+        for body, row in self._first_rows:
+            if self._world.active[body.index]:
+                for index, part in enumerate(self._world.part_poses(body), row):
+                    self._positions[index], self._rotations[index] = part.position, matrix(part)
+        positions, rotations = self._positions, self._rotations
         if not any(optics.position + optics.rotation):
             return self.draw(positions, rotations, visible, window, labels)
         rotation, (x, y, z) = matrix(Pose.planar(0.0, 0.0, 0.0, optics.rotation[2])), optics.position
         positions = (positions - (*window.centre, 0.0)) @ rotation.T
         shifted = window._replace(centre=(-x, -y))
         return self.draw(positions, rotation @ rotations, visible, shifted, labels) + np.float32(z)
-
-    def _poses(self) -> tuple[FloatArray, FloatArray]:
-        """Return positions (n, 3) and rotations (n, 3, 3) of the meshes in the scene."""
-        present = (pair for pair in self._first_rows if self._world.active[pair[0].index])
-        for body, row in present:
-            for index, part in enumerate(self._world.part_poses(body), row):
-                self._positions[index], self._rotations[index] = part.position, matrix(part)
-        return self._positions, self._rotations
 
 
 class View:
@@ -206,11 +189,7 @@ class View:
     """
 
     def __init__(
-        self,
-        scene: Scene,
-        frame: Frame,
-        overlays: Sequence[Overlay] = (),
-        measure: Measure | None = None,
+        self, scene: Scene, frame: Frame, overlays: Sequence[Overlay], measure: Measure | None
     ) -> None:
         self._scene = scene
         self.measure = measure

@@ -82,6 +82,8 @@ def test_resizing_keeps_means_and_positions():
 def test_image_must_be_possible():
     with pytest.raises(ValueError, match=r"^env must .*, got 'state'"):
         ImageObservation(gymnasium.make(CLOSE, observation="state"))
+    with pytest.raises(ValueError, match=r"^env must observe a Dict .*, got Box"):
+        ImageObservation(ImageObservation(Sensors()))
     with pytest.raises(ValueError, match=r"^size must .*, got 0"):
         ImageObservation(gymnasium.make(CLOSE), 0)
 
@@ -324,6 +326,23 @@ def test_members_of_several_tasks_begin_at_states():
     assert vector.call("get_state") == states
     assert infos["_is_held"].tolist() == [True, False] and infos["_is_stacked"].tolist() == [False, True]
     vector.close()
+
+
+def test_infos_are_those_of_the_states():
+    mass = "randomization/object_mass"
+    vector = make_multi_task_vec([CLOSE, CLOSE], obs_size=32, randomization={"object_mass": [0.5, 1.5]})
+    plain = gymnasium.make(CLOSE, obs_size=32).unwrapped
+    vector.reset(seed=0)
+    plain.reset(seed=0)
+    states = [plain.get_state(), vector.call("get_state")[1]]
+    expected = dict(states[1].sampled)["object_mass"]
+    for _ in range(2):
+        _, infos = reset_to_states(vector, states)
+        assert infos["_" + mass].tolist() == [False, True] and infos[mass].tolist() == [0.0, expected]
+        _, infos = reset_to_states(vector, states[::-1])
+        assert infos["_" + mass].tolist() == [True, False] and infos["_is_valid"].all()
+    vector.close()
+    plain.close()
 
 
 def test_common_spaces_must_include_those_of_the_environment(picking):
