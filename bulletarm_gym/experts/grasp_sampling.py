@@ -188,14 +188,8 @@ def _evaluate(
 @compiled
 def _ends(line: Image, least: float) -> tuple[int, int]:
     """Return the first and the last index of a line above a height (m), (-1, -1) if there is none."""
-    first, last = 0, len(line) - 1
-    while first <= last and line[first] <= least:
-        first += 1
-    if first > last:
-        return -1, -1
-    while line[last] <= least:
-        last -= 1
-    return first, last
+    above = np.flatnonzero(line > least)
+    return (above[0], above[-1]) if len(above) else (-1, -1)
 
 
 @compiled
