@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bulletarm_gym.config import CLOSE_LOOP, MAX_ROTATION, MAX_TRANSLATION, EnvConfig
-from bulletarm_gym.config_checks import check_argument, numbers, rule
+from bulletarm_gym.config_checks import check_argument, check_fields, instance, numbers
 from bulletarm_gym.control.control import Control, GraspParams, Outcome, RobotInterface, grid_positions
 from bulletarm_gym.geometry import Pose, Rectangle, Vector
 from bulletarm_gym.observations import Frame, View
@@ -31,20 +31,15 @@ class DeltaMove:
     :param opening: gripper opening ratio, 0 closed to 1 open
     :param translation: of the fingertips (m), along the world's axes
     :param rotation: of the gripper about z (rad)
+    :raises ValueError: a number is not finite
     """
 
     opening: float
     translation: Vector
     rotation: float = 0.0
 
-
-def _finite_move(move: DeltaMove) -> DeltaMove:
-    one = numbers()
-    return DeltaMove(one(move.opening), numbers(count=3)(move.translation), one(move.rotation))
-
-
-MOVE = rule("a DeltaMove of finite numbers", bool, _finite_move)
-"""Check of moves to encode."""
+    def __post_init__(self) -> None:
+        check_fields(self, {"opening": numbers(), "translation": numbers(count=3), "rotation": numbers()})
 
 
 class CloseLoop(Control[DeltaMove]):
@@ -74,7 +69,7 @@ class CloseLoop(Control[DeltaMove]):
         return DeltaMove((value["p"] + 1.0) / 2.0, (x, y, z), self.max_rotation * value.get("r", 0.0))
 
     def encode_action(self, move: DeltaMove) -> NDArray[np.float32]:
-        move = check_argument("move", move, MOVE)
+        move = check_argument("move", move, instance(DeltaMove))
         value = dict(zip("xyz", (part / self.max_translation for part in move.translation), strict=True))
         value |= {"p": 2.0 * move.opening - 1.0, "r": move.rotation / self.max_rotation}
         return np.array([value[axis] for axis in self.sequence], dtype=np.float32).clip(-1.0, 1.0)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import label
 
 from bulletarm_gym.config import OPEN_LOOP, EnvConfig
-from bulletarm_gym.config_checks import check_argument, choice, numbers, rule
+from bulletarm_gym.config_checks import check_argument, check_fields, choice, instance, numbers
 from bulletarm_gym.control.control import Control, GraspParams, Outcome, RobotInterface, grid_positions
 from bulletarm_gym.geometry import Pose, Rectangle, Vector, euler_pose, matrix
 from bulletarm_gym.observations import ElevationMap, Frame, View
@@ -154,26 +154,22 @@ class PickPlace:
     :param primitive: ``"pick"`` or ``"place"``
     :param position: of the fingertips (m) in the world
     :param rotation: theta, phi, psi (rad): about z, then about the rotated y, then about the rotated x axis
+    :raises ValueError: the primitive is unknown, or a number is not finite
     """
 
     primitive: str
     position: Vector
     rotation: Vector = (0.0, 0.0, 0.0)
 
+    def __post_init__(self) -> None:
+        three = numbers(count=3)
+        check_fields(self, {"primitive": choice(PICK, PLACE), "position": three, "rotation": three})
+
     @property
     def pose(self) -> Pose:
         """Pose of the fingertips in the world."""
         theta, phi, psi = self.rotation
         return euler_pose(self.position, (psi, phi, theta))
-
-
-def _finite_move(move: PickPlace) -> PickPlace:
-    three = numbers(count=3)
-    return PickPlace(choice(PICK, PLACE)(move.primitive), three(move.position), three(move.rotation))
-
-
-MOVE = rule(f"a PickPlace of {PICK!r} or {PLACE!r} and finite numbers", bool, _finite_move)
-"""Check of moves to encode."""
 
 
 class OpenLoop(Control[PickPlace]):
@@ -215,11 +211,7 @@ class OpenLoop(Control[PickPlace]):
         return replace(move, position=(x, y, self._height(view, places, self.executed(move))))
 
     def encode_action(self, move: PickPlace) -> NDArray[np.float32]:
-        """Return the action of a move, clipped to [-1, 1]; the inverse of :meth:`decode_action`.
-
-        :raises ValueError: the primitive is unknown, or a number is not finite
-        """
-        move = check_argument("move", move, MOVE)
+        move = check_argument("move", move, instance(PickPlace))
         theta, phi, psi = move.rotation
         low, high = self.ranges.get("theta", (-math.pi, math.pi))
         if not low <= theta <= high:

@@ -9,8 +9,6 @@ from bulletarm_gym.geometry.poses import pose_check
 OPEN = 1.0
 HALF_OPEN = 0.5
 CLOSED = 0.0
-FIELDS = {"pose": pose_check, "gripper": fraction, "finish": optional(fraction)}
-"""Checks of the fields of a waypoint."""
 
 
 @dataclass(frozen=True)
@@ -35,4 +33,4 @@ class Waypoint:
     clear: bool = False
 
     def __post_init__(self) -> None:
-        check_fields(self, FIELDS)
+        check_fields(self, {"pose": pose_check, "gripper": fraction, "finish": optional(fraction)})

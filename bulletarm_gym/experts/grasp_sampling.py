@@ -166,9 +166,10 @@ def _evaluate(
     low, high, inmost_low, inmost_high = reach + 1, -reach - 1, -reach - 1, reach + 1
     left, right = 0.0, 0.0  # sums of the heights above the tips at both ends of the lines
     for line in range(count):
-        first, last = _ends(between[line], tip + OVERLAP)
-        if first < 0:
+        above = np.flatnonzero(between[line] > tip + OVERLAP)
+        if not len(above):
             continue
+        first, last = above[0], above[-1]
         filled += 1
         low, inmost_low = min(low, first - reach), max(inmost_low, first - reach)
         high, inmost_high = max(high, last - reach), min(inmost_high, last - reach)
@@ -183,19 +184,6 @@ def _evaluate(
     if not _fingers_pass(heights, frame, middle, size, tip - BELOW):
         return 0.0, 0.0
     return middle, 0.3 - 0.12 * skew + 1.5 * min(edge, 0.03) + 0.02 * filled / count
-
-
-@compiled
-def _ends(line: Image, least: float) -> tuple[int, int]:
-    """Return the first and the last index of a line above a height (m), (-1, -1) if there is none."""
-    first, last = 0, len(line) - 1
-    while first <= last and line[first] <= least:
-        first += 1
-    if first > last:
-        return -1, -1
-    while line[last] <= least:
-        last -= 1
-    return first, last
 
 
 @compiled

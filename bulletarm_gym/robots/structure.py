@@ -90,7 +90,6 @@ def _fix(joint: Element) -> None:
 def _normalize_axis(joint: Element) -> None:
     """Set the length of the axis to 1, by which Bullet multiplies positions; let fingers open upwards."""
     length, (lower, upper) = math.hypot(*urdf.axis_of(joint)), urdf.limits_of(joint)
-    _require(length > 0.0, f"the axis of joint {joint.get('name')!r} must have a length, got 0 0 0")
     if joint.get("type") in SLIDING and lower < -LIMIT_TOLERANCE and upper < LIMIT_TOLERANCE:
         joint.findall("limit")[0].attrib.update(lower=repr(-upper), upper=repr(-lower))
         length = -length

@@ -211,10 +211,9 @@ class SceneObject:
         self._world.set_joints(self.body, check_argument("positions", positions, check))
 
     def park(self) -> None:
-        """Remove all variants from the scene."""
-        for body in self.bodies:
-            if self._world.active[body.index]:
-                self._world.park(body)
+        """Remove the body from the scene."""
+        if self.is_present:
+            self._world.park(self.body)
 
 
 class Scene:

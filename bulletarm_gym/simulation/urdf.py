@@ -166,8 +166,11 @@ def frame_of(element: Element) -> Pose:
 
 
 def axis_of(joint: Element) -> Vector:
-    """Return the axis of a joint in its own frame, of any length."""
-    return vector_of(joint.find("axis"), "xyz", "1 0 0")
+    """Return the axis of a joint in its own frame, of any length, or raise ValueError."""
+    axis = vector_of(joint.find("axis"), "xyz", "1 0 0")
+    if not any(axis):
+        raise ValueError(f"the axis of joint {joint.get('name')!r} must have a length, got 0 0 0")
+    return axis
 
 
 def limits_of(joint: Element) -> tuple[float, float]:

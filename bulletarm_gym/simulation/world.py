@@ -48,6 +48,10 @@ class World:
         self.client = Client(gui)
         self.physics = physics
         self.bodies: list[Body] = []
+        self.visible: list[Body] = []
+        """All bodies, parked ones too, except the ground and robots."""
+        self.solids: list[Body] = []
+        """The visible bodies except marks."""
         self.poses: list[Pose] = []
         self.twists: list[Twist] = []
         self.active: list[bool] = []
@@ -57,7 +61,6 @@ class World:
         self._by_id: dict[int, Body] = {}
         self._changed: dict[int, Properties] = {}
         self._ground: Body | None = None
-        self._solids: list[Body] = []
         self._snapshot: int | None = None
         self.optics = NOMINAL
         # The default broad phase orders contacts by memory address, the simple one in the order of loading.
@@ -74,8 +77,11 @@ class World:
         """Load a body. Without a pose it is parked until :meth:`place`."""
         self._check_unsealed()
         load = load_jointed if spec.parts else load_rigid
-        body_id = load(self.client, spec, self.physics.damping)
-        return self._register(body_id, spec, pose, len(spec.parts))
+        body = self._register(load(self.client, spec, self.physics.damping), spec, pose, len(spec.parts))
+        self.visible.append(body)
+        if not spec.is_mark:
+            self.solids.append(body)
+        return body
 
     def add_plane(self, spec: BodySpec) -> Body:
         """Load the infinite ground at z = 0 with the name, friction and visual shape of a specification."""
@@ -91,7 +97,6 @@ class World:
 
     def seal(self) -> None:
         """Take the snapshot for :meth:`begin`. No body can be loaded afterwards."""
-        self._solids = self.solids
         self._snapshot = self.client.saveState()
 
     def _check_unsealed(self) -> None:
@@ -123,16 +128,6 @@ class World:
     def loose_bodies(self) -> list[Body]:
         """Obstacles that move without a motor, or have moving parts."""
         return [body for body in self.obstacles if body.spec.mass > 0.0 or body.spec.parts]
-
-    @property
-    def solids(self) -> list[Body]:
-        """All bodies, parked ones too, except the ground, marks and robots."""
-        return self._solids or [body for body in self.visible if not body.spec.is_mark]
-
-    @property
-    def visible(self) -> list[Body]:
-        """The solids and the marks."""
-        return [body for body in self.bodies if body.spec.pieces and body is not self._ground]
 
     @property
     def obstacles(self) -> list[Body]:
@@ -323,7 +318,7 @@ class World:
     def part_poses(self, body: Body) -> list[Pose]:
         """Return the poses of the meshes of a body and of its moving parts."""
         pose = self.poses[body.index]
-        parts = zip(body.spec.parts, self.joints[body.index], strict=True) if body.spec.parts else ()
+        parts = zip(body.spec.parts, self.joints[body.index], strict=True)
         return [pose, *(pose.compose(part.moved(position)) for part, position in parts)]
 
     def contacts(self, body: Body, other: Body | None = None, link: int = -2) -> list[Contact]:

@@ -5,7 +5,7 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d
+from scipy.ndimage import maximum_filter
 
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WIDE, EnvConfig, TaskDefaults
 from bulletarm_gym.control import GraspParams
@@ -207,14 +207,11 @@ class FreeSpace:
 
     def _highest(self, low: FloatArray, high: FloatArray, outside: float) -> FloatArray:
         """Return the largest height (m) in an outline around each position, with a height next to the bin."""
-        found = self._heights
-        for axis in (0, 1):
-            first, last = math.floor(low[axis] / PITCH), math.ceil(high[axis] / PITCH)
-            count, margin = last - first + 1, max(-first, last, 0)
-            pad = [(margin, margin) if axis == other else (0, 0) for other in (0, 1)]
-            windows = maximum_filter1d(np.pad(found, pad, constant_values=outside), count, axis)
-            start = margin + first + count // 2
-            found = windows.take(range(start, start + found.shape[axis]), axis)
+        first, last = np.floor(low[:2] / PITCH).astype(int), np.ceil(high[:2] / PITCH).astype(int)
+        count, margin = last - first + 1, max(0, *-first, *last)
+        highest = maximum_filter(np.pad(self._heights, margin, constant_values=outside), tuple(count))
+        (row, column), (rows, columns) = margin + first + count // 2, self._heights.shape
+        found: FloatArray = highest[row : row + rows, column : column + columns]
         return found
 
 

@@ -11,7 +11,7 @@ from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, EnvConfig, TaskDefaults
 from bulletarm_gym.experts import HALF_OPEN, Waypoint, approach
 from bulletarm_gym.experts.approach import grasp, highest_between, place_object, rotates, side_yaw
 from bulletarm_gym.experts.pick_place import fingers_fit
-from bulletarm_gym.geometry import Footprint, Pose, planar_distance, wrap_angle
+from bulletarm_gym.geometry import Footprint, Pose, wrap_angle
 from bulletarm_gym.objects import bowl, cube
 from bulletarm_gym.objects.containers import BOWL_DIAMETER, BOWL_HEIGHT, BOWL_THICKNESS
 from bulletarm_gym.scene import ObjectSlot, Scene, SceneObject, scaled
@@ -138,7 +138,7 @@ def _put(scene: Scene, held: SceneObject) -> Iterator[Waypoint]:
     x, y, _ = vessel.pose.position
     # The cubes are in one line, the fingers on both sides of it.
     line = tool.yaw + math.pi / 2.0
-    if others and planar_distance(others[0].pose.position, vessel.pose.position) > 0.0:
+    if others:
         line = math.atan2(y - others[0].pose.y, x - others[0].pose.x)
     offset = FROM_AXIS * held.spec.extents[0]
     spot = (x + offset * math.cos(line), y + offset * math.sin(line))

@@ -10,7 +10,7 @@ from rollouts import PICKING
 
 import bulletarm_gym
 from bulletarm_gym.config import TaskDefaults
-from bulletarm_gym.control import DeltaMove, GraspParams
+from bulletarm_gym.control import DeltaMove, GraspParams, PickPlace
 from bulletarm_gym.demonstrations import Demonstrations, export_lerobot, export_minari, export_rlds
 from bulletarm_gym.demonstrations.robomimic import export_robomimic
 from bulletarm_gym.geometry import Mesh, Pose, Rectangle
@@ -62,6 +62,9 @@ RECORDS = [
     (OVERLAY, "rectangle", (0.0, 0.0, 1.0, 1.0, 0.0), r"got \(0\.0"),
     (ObjectSlot("cube", (SPEC,)), "variants", SPEC, "got BodySpec"),
     (GraspParams(0.1), "pick_offset", None, "got None"),
+    (DeltaMove(1.0, (0.0, 0.0, 0.0)), "opening", "1", "got '1'"),
+    (DeltaMove(1.0, (0.0, 0.0, 0.0)), "translation", (0.0, np.nan, 0.0), r"got \(0\.0, nan"),
+    (PickPlace("pick", (0.4, 0.0, 0.1)), "rotation", 0.5, "3 finite numbers, got 0.5"),
     (Waypoint(Pose((0.0, 0.0, 0.1)), 1.0), "pose", (0.0, 0.0, 0.1), r"got \(0\.0"),
     (Waypoint(Pose((0.0, 0.0, 0.1)), 1.0), "gripper", "open", "got 'open'"),
     (Waypoint(Pose((0.0, 0.0, 0.1)), 1.0), "gripper", 85.0, "from 0 to 1, got 85"),
@@ -110,7 +113,6 @@ def test_methods_name_the_argument(picking):
     cube, envs = picking.scene["cube"], gymnasium.make_vec(PICKING, 2, obs_size=16)
     calls = {
         ("move", "None"): partial(picking.encode_action, None),
-        ("move", "DeltaMove.*'1'"): partial(picking.encode_action, DeltaMove("1", (0.0, 0.0, 0.0))),
         ("points", "'cloud'"): partial(open_loop_heightmap, "cloud"),
         ("workspace", r"\[\[0\.2"): partial(open_loop_heightmap, np.zeros((1, 3)), FLAT),
         ("workspace", r"\[\[0\.2.*"): partial(close_loop_heightmap, np.zeros((1, 3)), cube.pose, 0.0, FLAT),

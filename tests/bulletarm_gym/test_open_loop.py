@@ -93,8 +93,8 @@ def test_encode_brings_angles_into_range(make):
 
 def test_encode_clips_positions_and_rejects_an_unknown_primitive(env):
     assert env.encode_action(PickPlace("place", (9.0, -9.0, 0.1))).tolist() == [1.0, 1.0, -1.0, -1.0]
-    with pytest.raises(ValueError, match=r"^move must be .*primitive='push'"):
-        env.encode_action(PickPlace("push", (0.4, 0.0, 0.1)))
+    with pytest.raises(ValueError, match=r"^primitive must be .*'push'"):
+        PickPlace("push", (0.4, 0.0, 0.1))
 
 
 def test_action_without_p_picks_when_empty_and_places_when_holding(make):

@@ -111,6 +111,7 @@ def test_success_of_placed_objects(make, name, placed, facts):
     env = make(task_id(name), seed=0)
     for slot, position in placed.items():
         env.scene[slot].place(Pose(position))
+    assert np.isfinite(env.expert_action()).all()
     *_, info = env.step(np.array([1.0, 0.0, 0.0, 0.0, 0.0]))
     assert facts.items() <= info.items() and info["is_valid"]
     if name == "BlockPushing":

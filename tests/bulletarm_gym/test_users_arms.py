@@ -128,6 +128,12 @@ def rod(root):
     mimic("rod", KUKA.joints[1])(root)
 
 
+def wheel(root):
+    """Add a link on a joint that is neither the arm's nor the gripper's and has no axis."""
+    add_link(root, "wheel", 0.1, [PART])
+    add_joint(root, "continuous", "wheel", ("lbr_iiwa_link_2", "wheel"), ORIGIN, (0.0, 0.0, 0.0))
+
+
 def test_urdf_that_cannot_be_simulated_is_refused():
     for change, words in (
         (lambda root: SubElement(root, "link", name="lbr_iiwa_link_3"), ("distinct", "lbr_iiwa_link_3")),
@@ -142,6 +148,7 @@ def test_urdf_that_cannot_be_simulated_is_refused():
         (drop(KUKA.joints[3], "child"), ("<child>", KUKA.joints[3])),
         (mimic(KUKA.joints[2], KUKA.joints[1]), ("independently", KUKA.joints[2])),
         (rod, ("independently", "rod")),
+        (wheel, ("axis", "wheel")),
         (put(KUKA.joints[2], "", type="prismatic"), ("revolute", KUKA.joints[2])),
         (put(FINGERS[0], "limit", lower="0.02"), ("0.02", FINGERS[0])),
         (put(FINGERS[0], "limit", upper="0.04"), ("stroke", "0.04")),
