@@ -12,7 +12,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from sb3_extensions.replay.buffer import ExpertReplayBuffer
 from sb3_extensions.replay.quantisation import Quantiser
-from sb3_extensions.replay.sampling import MIN_PRIORITY, ShareSampler
+from sb3_extensions.replay.sampling import MIN_PRIORITY, PrioritizedSampler, ShareSampler
 
 HEIGHT = 0.4
 OBSERVATION_SPACE = spaces.Dict(
@@ -315,6 +315,11 @@ def test_probabilities_and_weights_follow_the_priorities(progress_remaining, bet
     weights = (10 * probabilities) ** -beta
     expected = (weights / weights.max())[np.searchsorted(rows, samples.indices)]
     np.testing.assert_allclose(samples.weights.numpy()[:, 0], expected, rtol=1e-5)
+
+
+def test_default_priorities_are_the_papers():
+    sampler = PrioritizedSampler()
+    assert (sampler.exponent, sampler.beta_start, sampler.expert_bonus) == (0.6, 0.4, 1.0)
 
 
 def test_a_new_step_gets_the_maximum_of_the_present_priorities(buffer):
