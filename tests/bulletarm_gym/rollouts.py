@@ -12,6 +12,10 @@ import bulletarm_gym
 from bulletarm_gym.env import ManipulationEnv
 
 PICKING = "BulletArm/CloseLoopBlockPicking-v0"
+REACHING = "BulletArm/CloseLoopBlockReaching-v0"
+GRASPING = "BulletArm/CloseLoopObjectGrasping-v0"
+STACKING = "BulletArm/OpenLoopBlockStacking-v0"
+CLOSE_STACKING = "BulletArm/CloseLoopBlockStacking-v0"
 EXPERT_SHARE = 0.7
 """Share of expert actions among random ones, with which grasps, pushes and successes happen."""
 TYPICAL = (

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from rollouts import PICKING, digest, finish, make_env
+from rollouts import CLOSE_STACKING, PICKING, STACKING, digest, finish, make_env
 from small_arm import PARAMETERS, SMALL
 
 from bulletarm_gym.control import CloseLoop, RobotInterface
@@ -135,8 +135,6 @@ IMPROVISE_2 = "BulletArm/OpenLoopImproviseHouseBuilding2-v0"
 IMPROVISE_3 = "BulletArm/OpenLoopImproviseHouseBuilding3-v0"
 RAMP = "BulletArm/OpenLoopRampHouseBuilding2-v0"
 BUMP = "BulletArm/OpenLoopBumpHouseBuilding4-v0"
-STACKING = "BulletArm/CloseLoopBlockStacking-v0"
-OPEN_STACKING = "BulletArm/OpenLoopBlockStacking-v0"
 PAIR = {"cube_0": (-0.025, 0.0), "cube_1": (0.025, 0.0)}
 
 
@@ -154,7 +152,7 @@ def lay(env, **places):
 
 @pytest.fixture
 def cubes(make):
-    env = make(STACKING, num_objects=3, seed=0)
+    env = make(CLOSE_STACKING, num_objects=3, seed=0)
     return env.scene
 
 
@@ -283,7 +281,7 @@ def test_random_blocks_are_placed_without_a_rotation(make):
         assert finish(env) == (True, 4)
 
 
-@pytest.mark.parametrize("env_id", [OPEN_STACKING, IMPROVISE_3, RAMP, STACKING])
+@pytest.mark.parametrize("env_id", [STACKING, IMPROVISE_3, RAMP, CLOSE_STACKING])
 def test_goal_starts_are_solved_and_repeatable(make, env_id):
     env = make(env_id)
     for seed in range(2):
@@ -294,7 +292,7 @@ def test_goal_starts_are_solved_and_repeatable(make, env_id):
 
 def test_demonstrations_rebuild_the_structure(make):
     for env_id, env_kwargs in (
-        (OPEN_STACKING, {"action_sequence": "pxy", "random_orientation": False}),
+        (STACKING, {"action_sequence": "pxy", "random_orientation": False}),
         (IMPROVISE_3, {}),
         *((HOUSE_1, {"robot": robot}) for robot in ("panda", "ur5_robotiq")),
     ):

@@ -14,7 +14,18 @@ from dataclasses import dataclass, field, make_dataclass, replace
 
 import numpy as np
 import pytest
-from rollouts import PICKING, TYPICAL, advance, answer, digest, make_env, transcript
+from rollouts import (
+    CLOSE_STACKING,
+    GRASPING,
+    PICKING,
+    STACKING,
+    TYPICAL,
+    advance,
+    answer,
+    digest,
+    make_env,
+    transcript,
+)
 
 from bulletarm_gym.demonstrations import json_state
 from bulletarm_gym.env import ManipulationEnv
@@ -24,9 +35,6 @@ from bulletarm_gym.simulation.shapes import Box, Piece, wavefront
 from bulletarm_gym.tasks.picking import BlockPicking
 
 PULLING = "BulletArm/CloseLoopBlockPulling-v0"
-GRASPING = "BulletArm/CloseLoopObjectGrasping-v0"
-STACKING = "BulletArm/OpenLoopBlockStacking-v0"
-CLOSE_STACKING = "BulletArm/CloseLoopBlockStacking-v0"
 SEED = 3
 OTHER = {"fast_mode": False, "object_scale_range": [0.7, 0.9]}
 REAL = {"randomization": "real", "obs_size": 32}

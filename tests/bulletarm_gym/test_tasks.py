@@ -9,7 +9,7 @@ from unittest.mock import patch
 import gymnasium
 import numpy as np
 import pytest
-from rollouts import PICKING, digest, finish, idle, is_open_loop, make_env
+from rollouts import CLOSE_STACKING, PICKING, REACHING, digest, finish, idle, is_open_loop, make_env
 
 from bulletarm_gym.benchmarks import BENCHMARKS
 from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
@@ -256,9 +256,7 @@ def test_stack_in_the_gripper_is_not_a_success(make):
     assert held, "the step before released it"
 
 
-REACHING = "BulletArm/CloseLoopBlockReaching-v0"
-STACKING = "BulletArm/CloseLoopBlockStacking-v0"
-IDS = (PICKING, STACKING, "BulletArm/CloseLoopDrawerOpening-v0", "BulletArm/OpenLoopHouseBuilding1-v0")
+IDS = (PICKING, CLOSE_STACKING, "BulletArm/CloseLoopDrawerOpening-v0", "BulletArm/OpenLoopHouseBuilding1-v0")
 SENSORS = {"observation": ["holding"], "reward": "progress"}
 
 

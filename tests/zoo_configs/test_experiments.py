@@ -101,22 +101,6 @@ def test_a_value_that_no_file_can_have_is_refused():
         check_experiment(experiment)
 
 
-@pytest.mark.parametrize(
-    ("learner", "own"),
-    [
-        ("dqn", {}),
-        ("adet", {"imitation_weight": 0.01}),
-        ("dqfd", {"imitation_weight": 0.1, "margin": 0.1}),
-        ("sdqfd", {"imitation_weight": 0.1, "margin": 0.1}),
-    ],
-)
-def test_open_loop_learners_differ_in_their_losses_only(learner, own):
-    expected, found = (hyperparams_of(f"{name}_equi_asr", "paper", STACKING) for name in ("sdqfd", learner))
-    for name in ("imitation_weight", "margin"):
-        del expected[name]
-    assert found == {**expected, **own}
-
-
 def test_the_cpu_preset_has_the_budget_of_the_paper_and_one_set_of_hyperparameters():
     """At most 100 demonstrations, and 10,000 updates of five environment steps, no DAgger."""
     tasks = [row.env_id for row in BENCHMARKS["close_loop_4d"].environments]

@@ -254,11 +254,14 @@ def play(buffer, n_steps=1, success=False):
         buffer.add(obs, obs, np.zeros((1, 1)), np.full(1, float(success)), np.ones(1, bool), [info])
 
 
-@pytest.mark.parametrize(("options", "first"), [({"balanced_from": 8}, 8), ({}, 1)])
-def test_shares_apply_from_balanced_from_steps(options, first):
-    """By default from the first online step."""
-    divided = make_numbered_buffer(20, sampler={"shares": {"expert_fraction": 0.5, **options}})
-    uniform = make_numbered_buffer(20)
+@pytest.mark.parametrize(
+    ("options", "n_expert", "first"),
+    [({"balanced_from": 8}, 20, 8), ({"balanced_from": 8}, 7, 30), ({}, 20, 1)],
+)
+def test_shares_apply_from_balanced_from_steps(options, n_expert, first):
+    """Of both kinds; by default from the first online step."""
+    divided = make_numbered_buffer(n_expert, sampler={"shares": {"expert_fraction": 0.5, **options}})
+    uniform = make_numbered_buffer(n_expert)
     for online in range(1, 30):
         for buffer in (divided, uniform):
             play(buffer)

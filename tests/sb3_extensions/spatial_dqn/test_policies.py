@@ -134,8 +134,6 @@ def test_in_hand_images_of_any_size(side, make_picking, make_policy):
         ("FCNPolicy", {"action_sequence": "pxrr"}, "got 'pxrr'"),
         ("FCNPolicy", {"action_space": spaces.Box(-np.inf, 1.0, (4,))}, "bounded Box of 4 numbers"),
         ("FCNPolicy", {"observation_space": spaces.Box(-1.0, 1.0, (4,))}, "a Dict with a heightmap"),
-        ("FCNPolicy", {"autocast": "fp16"}, "autocast"),
-        ("FCNPolicy", {"codec_kwargs": {"num_tilts": 0}}, "num_tilts"),
         ("EquivariantASRPolicy", {"in_hand_size": 24}, "patch_fields .* 5 entries .* 24"),
         ("FCNPolicy", {"sequence": "pxyzrrr"}, r"got levels for \['theta'\]"),
         ("RotFCNPolicy", {"sequence": "pxyz"}, r"\['z'\] .* got levels for \[\]"),
