@@ -122,7 +122,6 @@ def test_methods_name_the_argument(picking):
         ("vertices", "NaN"): partial(Mesh.of, np.full((3, 3), np.inf), [[0, 1, 2]]),
         ("image", "'demos.h5'"): partial(Demonstrations, "demos.h5"),
         ("env", "<.*CartPole"): partial(GoalObservation, gymnasium.make("CartPole-v1")),
-        ("observation", r"\[{'name': 3}\]"): partial(gymnasium.make, PICKING, observation=[{"name": 3}]),
         ("pose", r"\(0\.4"): partial(cube.place, (0.4, 0.0, 0.1)),
         ("twist", r"\(0\.0"): partial(cube.place, cube.pose, (0.0, 0.0, 1.0)),
         ("positions", r"\[0\.1\]"): partial(cube.set_joints, [0.1]),

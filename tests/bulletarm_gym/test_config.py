@@ -128,7 +128,6 @@ LOW = square(0.3, 0.6, 0.01, 0.11)
 COMBINATIONS = [
     ("CloseLoopBlockPicking", {"num_objects": 3}, "num_objects"),
     ("CloseLoopBlockPulling", {"num_objects": 1}, "num_objects"),
-    ("CloseLoopBlockPicking", {"robot": "nobody"}, "robot"),
     ("OpenLoopCovidTest", {"object_scale_range": 0.86}, "object_scale_range"),
     ("CloseLoopBlockStacking", {"object_scale_range": 1.5, "num_objects": 4}, "num_objects"),
     ("CloseLoopBlockPicking", {"object_scale_range": 2.0, "robot": "ur5_robotiq"}, "object_scale_range"),

@@ -126,8 +126,6 @@ def test_values_of_a_urdf_are_used(tmp_path):
 
 
 COLOURED = f'<visual>{BOX}<material name="paint"><color rgba="255 0 0 255"/></material></visual>'
-
-
 CYLINDER = '<collision><geometry><cylinder radius="-0.01" length="0.1"/></geometry></collision>'
 
 

@@ -21,8 +21,7 @@ CENTRE, EXTENT = (0.45, 0.0), 0.4
 
 @pytest.fixture
 def env(make):
-    env = make(STACKING, seed=0)
-    return env
+    return make(STACKING, seed=0)
 
 
 def lay_out(env, *poses):

@@ -52,10 +52,6 @@ CASES = [
 """Ids, numbers of the expert's steps, mid-grasp and mid-push among them, parameters, options of the reset."""
 
 
-def name_of(case):
-    return "-".join(str(part).rsplit("/")[-1] for part in case)
-
-
 def test_another_process_agrees(make, monkeypatch):
     """Mid-grasp and mid-push, with sampled physics, and from a seed."""
     requests = {}
@@ -108,7 +104,7 @@ def test_rendering_and_queries_change_nothing(make, typical_id):
     assert transcript(watched, 8, seed=2, before_step=look) == expected
 
 
-@pytest.mark.parametrize("case", CASES, ids=name_of)
+@pytest.mark.parametrize("case", CASES, ids=lambda case: "-".join(str(part).rsplit("/")[-1] for part in case))
 def test_state_is_exact(make, case):
     env_id, moment, parameters, *options = case
     env, other = (make(env_id, instance, **parameters) for instance in range(2))

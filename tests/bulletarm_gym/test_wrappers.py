@@ -293,17 +293,6 @@ def test_experts_solve_several_tasks_in_common_spaces(ids, kwargs, sequence):
         assert not observations["color"][:2].any()
 
 
-def test_members_of_several_tasks_begin_at_states():
-    vector = make_multi_task_vec(CLOSE_LOOP[:2], obs_size=32)
-    vector.reset(seed=0)
-    states = vector.call("get_state")
-    vector.reset(seed=1)
-    _, infos = reset_to_states(vector, states)
-    assert vector.call("get_state") == states
-    assert infos["_is_held"].tolist() == [True, False] and infos["_is_stacked"].tolist() == [False, True]
-    vector.close()
-
-
 def test_numbers_of_other_tasks_do_not_change_the_result():
     """The flat task has pxyr, the ramp pxyzrrr; vectors are padded at the end."""
     vector = make_multi_task_vec(OPEN_LOOP, obs_size=32, observation=["heightmap", "holding"])
@@ -322,13 +311,18 @@ def test_numbers_of_other_tasks_do_not_change_the_result():
         flat.step(known)
 
 
-def test_members_of_several_tasks_run_in_processes():
+def test_members_of_several_tasks_run_in_processes_and_begin_at_states():
     """Equal to those of one process; vectors are padded at the end."""
     results = []
     for kind in (SyncVectorEnv, AsyncVectorEnv):
         vector = make_multi_task_vec(CLOSE_LOOP[:2], 2, vec_env_cls=kind, observation=["state"])
         found = [vector.reset(seed=5)[0]["state"]]
+        states = vector.call("get_state")
         found.append(vector.step(np.stack(vector.call("expert_action")))[0]["state"])
+        _, infos = reset_to_states(vector, states)
+        assert vector.call("get_state") == states
+        assert infos["_is_held"].tolist() == [True] * 2 + [False] * 2
+        assert infos["_is_stacked"].tolist() == [False] * 2 + [True] * 2
         results.append(found)
         vector.close()
     np.testing.assert_equal(*results)
