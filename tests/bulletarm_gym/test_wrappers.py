@@ -88,7 +88,6 @@ class Doubled(gymnasium.ActionWrapper):
 
 
 rescale = partial(wrappers.RescaleAction, min_action=np.float32(-3.0), max_action=np.float32(1.0))
-negate = partial(wrappers.TransformAction, func=np.negative, action_space=None)
 INVERTIBLE = {
     "observed": [wrappers.RecordEpisodeStatistics],
     "rescaled twice": [rescale, partial(rescale, max_action=np.float32(5.0))],
@@ -96,7 +95,7 @@ INVERTIBLE = {
     "own": [Doubled, rescale],
 }
 OTHERS = {
-    "TransformAction": [negate],
+    "TransformAction": [partial(wrappers.TransformAction, func=np.negative, action_space=None)],
     "StickyAction": [partial(wrappers.StickyAction, repeat_action_probability=0.5)],
     "DiscretizeAction": [rescale, partial(wrappers.DiscretizeAction, bins=3)],
 }

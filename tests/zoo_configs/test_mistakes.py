@@ -67,7 +67,6 @@ TRAIN -params env_wrapper:none.Wrapper                            => env_wrapper
 TRAIN -params "policy_kwargs:dict(net_arch="                      => policy_kwargs
 TRAIN -params noise_type:red                                      => noise_type
 TRAIN -params noise_type:normal                                   => noise_std
-TRAIN -params noise_std:0.5                                       => noise_type
 TRAIN -params ent_coef:.nan                                       => ent_coef
 TRAIN -params env_kwargs:5                                        => env_kwargs must be
 TRAIN -params env_kwargs:null --env-kwargs obs_size:48            => env_kwargs must be
@@ -112,7 +111,6 @@ enjoy --published blockreaching                                   => CloseLoopBl
 PUBLISHED --baseline frobnicate                                   => equi_sacfd
 PUBLISHED --env TOY --load-last                                   => --env, --load-last
 plot                                                              => logs
-plot -f tiny.yml                                                  => --log-folder must be a folder
 plot -f nowhere                                                   => --log-folder must be a folder
 plot -o curves                                                    => .png
 push nowhere --folder b                                           => nowhere
