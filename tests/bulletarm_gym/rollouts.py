@@ -12,6 +12,10 @@ import bulletarm_gym
 from bulletarm_gym.env import ManipulationEnv
 
 PICKING = "BulletArm/CloseLoopBlockPicking-v0"
+REACHING = "BulletArm/CloseLoopBlockReaching-v0"
+GRASPING = "BulletArm/CloseLoopObjectGrasping-v0"
+STACKING = "BulletArm/OpenLoopBlockStacking-v0"
+CLOSE_STACKING = "BulletArm/CloseLoopBlockStacking-v0"
 EXPERT_SHARE = 0.7
 """Share of expert actions among random ones, with which grasps, pushes and successes happen."""
 TYPICAL = (
@@ -33,8 +37,9 @@ def make_env(env_id, **parameters):
     assert env_id in bulletarm_gym.ENV_IDS
     sequence = parameters.get("action_sequence")
     if sequence and is_open_loop(env_id) and sequence.count("r") < 3:
-        flat = sequence.replace("z", "")
-        parameters["action_sequence"] = sequence.replace("r", "") + "rrr" if is_sloping(env_id) else flat
+        is_sloping = "LoopRamp" in env_id or "LoopBump" in env_id
+        flat, tilted = sequence.replace("z", ""), sequence.replace("r", "") + "rrr"
+        parameters["action_sequence"] = tilted if is_sloping else flat
     env = gymnasium.make(env_id, **parameters).unwrapped
     assert isinstance(env, ManipulationEnv)
     return env
@@ -43,11 +48,6 @@ def make_env(env_id, **parameters):
 def is_open_loop(env_id):
     """Return True if the actions of an id are picks and places."""
     return "/OpenLoop" in env_id
-
-
-def is_sloping(env_id):
-    """Return True if objects lie on ramps or bumps."""
-    return "LoopRamp" in env_id or "LoopBump" in env_id
 
 
 def core_of(demonstrations):

@@ -17,7 +17,7 @@ import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import TimeAwareObservation
-from rollouts import PICKING, advance, digest, finish, idle, make_env, transcript
+from rollouts import PICKING, REACHING, advance, digest, finish, idle, make_env, transcript
 
 from bulletarm_gym.control import DeltaMove
 from bulletarm_gym.demonstrations import json_state
@@ -26,7 +26,6 @@ from bulletarm_gym.wrappers import UNLIMITED
 
 MAX_SERVERS = 1024
 """Number of PyBullet's physics servers in a process."""
-REACHING = "BulletArm/CloseLoopBlockReaching-v0"
 SB3_IMAGE_WARNINGS = ("has to be `np.uint8`", "are not in [0, 255]", "minimal resolution for an image")
 """Warnings of Stable-Baselines3 about images that are depths in metres: their type, bounds and size."""
 
@@ -165,7 +164,7 @@ def test_other_actions_are_rejected_and_render_warns_without_a_mode(picking):
     picking.reset(seed=0)
     state = picking.get_state()
     wrong = ([math.nan] * 5, [0, 0, -math.inf, 0, 0], np.zeros(3), np.zeros((1, 5)), 0.0, "open", None)
-    for action in (*wrong, [[1, 2], 0]):
+    for action in (*wrong, [[1, 2], 0], ["0"] * 5):
         with pytest.raises(ValueError, match="action must be"):
             picking.step(action)
         assert picking.get_state() == state

@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 import pytest
 from PIL import Image
-from rollouts import PICKING
+from rollouts import PICKING, REACHING, STACKING
 from small_arm import FLANGE, JAW, PARAMETERS, SMALL, bare_arm
 
 from bulletarm_gym import demonstrations
@@ -24,8 +24,6 @@ from bulletarm_gym.play.__main__ import main as main_of_play
 from bulletarm_gym.robots import ROBOTS
 from bulletarm_gym.robots.editing import LIGHT, box
 from bulletarm_gym.simulation.urdf import find
-
-REACHING = "BulletArm/CloseLoopBlockReaching-v0"
 
 
 def test_check_of_the_machine_needs_no_learners(capsys, monkeypatch):
@@ -83,20 +81,6 @@ def test_environment_passes_unless_the_expert_is_below_the_minimum_success_rate(
     assert main([REACHING, "-n", "1", "--env-kwargs", "max_steps:2", "obs_size:16"]) == 2
     out, err = capsys.readouterr()
     assert out.count("FAILED") == 1 and "0 of 1 episodes" in out and REACHING in err
-
-
-def test_invalid_argument_is_rejected_before_the_checks(capsys):
-    for arguments, word in (
-        ([REACHING, "--env-kwargs", "obs_size:-1"], "obs_size"),
-        ([REACHING, "--robot", "kuka"], "--robot"),
-        ([REACHING, "--seed", "-1"], "--seed"),
-        (["--image", "arm.png"], "--image"),
-        (["--robot", "kuka", "--image", "missing/arm.png"], "missing/arm.png"),
-    ):
-        with pytest.raises(SystemExit, match="2"):
-            main(arguments)
-        out, err = capsys.readouterr()
-        assert not out and word in err.splitlines()[-1]
 
 
 @pytest.mark.usefixtures("own_registrations")
@@ -167,7 +151,6 @@ def test_broken_arm_is_recognised(what, model):
     assert finding.fails and finding.advice
 
 
-STACKING = "BulletArm/OpenLoopBlockStacking-v0"
 TWO = ["--env-kwargs", "num_objects:2", "obs_size:48"]
 
 
@@ -211,20 +194,28 @@ def test_successful_episodes_are_recorded(play, capsys):
     assert "env_id" in capsys.readouterr().err
 
 
-def test_invalid_argument_is_rejected(play, tmp_path, capsys):
-    for arguments, word in (
-        (["CartPole-v1"], "CartPole-v1"),
-        (["BulletArm/CloseLoopBlockPiking-v0"], "CloseLoopBlockPicking"),
-        ([PICKING, "--env-kwargs", "obs_size"], "KEY:VALUE"),
-        ([PICKING, "--env-kwargs", "robot:octopus"], "octopus"),
-        ([PICKING, "--gym-packages", "missing_module"], "missing_module"),
-        ([PICKING, "-n", "0"], "--episodes"),
-        ([PICKING, "--seed", "-1"], "--seed"),
-    ):
-        with pytest.raises(SystemExit, match="2"):
-            play("", *arguments)
-        assert word in capsys.readouterr().err.splitlines()[-1]
-        assert not list(tmp_path.iterdir())
+@pytest.mark.parametrize(
+    ("program", "line", "word"),
+    [
+        (main, f"{REACHING} --env-kwargs obs_size:-1", "obs_size"),
+        (main, f"{REACHING} --robot kuka", "--robot"),
+        (main, f"{REACHING} --seed -1", "--seed"),
+        (main, "--image arm.png", "--image"),
+        (main, "--robot kuka --image missing/arm.png", "missing/arm.png"),
+        (main_of_play, "CartPole-v1", "CartPole-v1"),
+        (main_of_play, "BulletArm/CloseLoopBlockPiking-v0", "CloseLoopBlockPicking"),
+        (main_of_play, f"{PICKING} --env-kwargs obs_size", "KEY:VALUE"),
+        (main_of_play, f"{PICKING} --env-kwargs robot:octopus", "octopus"),
+        (main_of_play, f"{PICKING} --gym-packages missing_module", "missing_module"),
+        (main_of_play, f"{PICKING} -n 0", "--episodes"),
+    ],
+)
+def test_invalid_argument_is_rejected_first(program, line, word, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit, match="2"):
+        program(line.split())
+    out, err = capsys.readouterr()
+    assert not out and word in err.splitlines()[-1] and not list(tmp_path.iterdir())
 
 
 def test_open_loop_keys_move_a_target(make):

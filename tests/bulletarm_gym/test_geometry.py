@@ -139,14 +139,11 @@ def test_agrees_with_a_ray_caster(seed):
     assert np.median(error[expected > 0]) < 2e-7
 
 
-def random_poses(count):
-    rng = np.random.default_rng(0)
-    rotations = [Rotation.random(random_state=rng).as_quat().tolist() for _ in range(count)]
-    return [Pose(tuple(rng.uniform(-1, 1, 3).tolist()), tuple(rotation)) for rotation in rotations]
-
-
 def test_rotations_agree_with_scipy():
-    for one, other in itertools.pairwise(random_poses(20)):
+    rng = np.random.default_rng(0)
+    rotations = [Rotation.random(random_state=rng).as_quat().tolist() for _ in range(20)]
+    poses = [Pose(tuple(rng.uniform(-1, 1, 3).tolist()), tuple(rotation)) for rotation in rotations]
+    for one, other in itertools.pairwise(poses):
         theirs = Rotation.from_quat(one.orientation)
         both = theirs * Rotation.from_quat(other.orientation)
         assert abs(np.dot(multiply(one.orientation, other.orientation), both.as_quat())) == pytest.approx(1.0)

@@ -6,7 +6,6 @@ Record new environments with ``python tests/bulletarm_gym/test_golden.py``. Pres
 """
 
 import json
-import os
 import platform
 from contextlib import closing
 from importlib.metadata import version
@@ -86,12 +85,6 @@ def test_values_are_those_recorded_on_any_machine(env_id):
     assert differs.mean() <= (CLUTTER_MAY_DIFFER if is_clutter else limit), (found, expected)
 
 
-def write(path, content, indent=None):
-    temporary = path.with_suffix(".part")
-    temporary.write_text(json.dumps(content, indent=indent) + "\n")
-    os.replace(temporary, path)
-
-
 def record():
     """Record the environments that have no digests on this machine, or no values."""
     content = recordings()
@@ -105,8 +98,8 @@ def record():
             mine["rollouts"][env_id] = digests_of(env_id)
         if env_id not in values:
             values[env_id] = values_of(env_id)
-    write(DIGESTS, content, indent=1)
-    write(VALUES, values)
+    DIGESTS.write_text(json.dumps(content, indent=1) + "\n")
+    VALUES.write_text(json.dumps(values) + "\n")
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.wrappers import RenderCollection
-from rollouts import PICKING, make_env
+from rollouts import PICKING, STACKING, make_env
 
 from bulletarm_gym.geometry import Pose, euler_pose, matrix
 from bulletarm_gym.objects.solids import block
@@ -122,7 +122,6 @@ def test_point_cloud_view_agrees_with_the_orthographic_view(make, name):
 # Cameras
 
 
-STACKING = "BulletArm/OpenLoopBlockStacking-v0"
 TOP = ["heightmap", "color", "segmentation"]
 EXACT = 5e-6
 """Error (m) of a depth that the rasterizer's 32-bit depth buffer explains."""

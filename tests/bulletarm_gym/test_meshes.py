@@ -7,6 +7,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pybullet_data
 import pytest
+from rollouts import GRASPING
 
 from bulletarm_gym.geometry import Mesh, Pose
 from bulletarm_gym.objects.files import GREY, load_folder
@@ -17,7 +18,6 @@ from bulletarm_gym.simulation.client import Client
 from bulletarm_gym.simulation.loading import load_urdf
 from bulletarm_gym.simulation.shapes import wavefront
 
-GRASPING = "BulletArm/CloseLoopObjectGrasping-v0"
 SIZE = (0.04, 0.05, 0.06)
 BOX = f'<geometry><box size="{" ".join(map(str, SIZE))}"/></geometry>'
 NAN_COLLADA = b'<COLLADA><float_array>nan</float_array><triangles count="1"/></COLLADA>'
@@ -126,8 +126,6 @@ def test_values_of_a_urdf_are_used(tmp_path):
 
 
 COLOURED = f'<visual>{BOX}<material name="paint"><color rgba="255 0 0 255"/></material></visual>'
-
-
 CYLINDER = '<collision><geometry><cylinder radius="-0.01" length="0.1"/></geometry></collision>'
 
 

@@ -2,11 +2,9 @@
 
 import itertools
 import math
-import pickle
 
 import numpy as np
 import pytest
-from rollouts import step_on, transcript
 
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.geometry import Pose, euler_pose, mass_properties, matrix
@@ -262,24 +260,12 @@ def test_inertia_has_the_axes_of_the_pieces(mass):
 
 
 @pytest.mark.usefixtures("own_registrations")
-def test_door_of_the_example_repeats_exactly_and_is_rendered():
-    parameters = {"control": "close_loop", "obs_size": 16, "observation": ["heightmap", "state"]}
-    first, second = (ManipulationEnv("door:DoorOpening", **parameters) for _ in range(2))
-    first.reset(seed=0)
-    while first.scene["door"].joints[0] < 0.3:
-        first.step(first.expert_action())
-    state = pickle.loads(pickle.dumps(first.get_state()))
-    second.reset(seed=7)
-    second.set_state(state)
-    for action in np.random.default_rng(0).uniform(-1.0, 1.0, (5, 5)):
-        one, other = step_on(first, action), step_on(second, action)
-        assert np.array_equal(one[0]["state"], other[0]["state"]) and one[1:] == other[1:]
-    assert first.scene["door"].joints == second.scene["door"].joints
-    assert transcript(first, 8, seed=3) == transcript(second, 8, seed=3)
-    first.reset(seed=0)
-    item = first.scene["door"]
+def test_door_of_the_example_is_rendered_where_it_turns():
+    env = ManipulationEnv("door:DoorOpening", control="close_loop", obs_size=16)
+    env.reset(seed=0)
+    item = env.scene["door"]
     for angle in (0.0, 0.8, 1.6):
         item.set_joints((angle,))
         x, y, _ = item.pose.compose(Pose.planar(0.0, 0.0, 0.0, angle)).transform((0.09, 0.0, 0.0))
-        heights = HeightRenderer.of(first.scene).heights(Window((x, y), 0.02, 5))
+        heights = HeightRenderer.of(env.scene).heights(Window((x, y), 0.02, 5))
         assert heights[2, 2] == pytest.approx(0.065, abs=1e-3)

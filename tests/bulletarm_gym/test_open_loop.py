@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from rollouts import digest
+from rollouts import STACKING, digest
 from scipy.spatial.transform import Rotation
 
 from bulletarm_gym import real_arm
@@ -15,15 +15,13 @@ from bulletarm_gym.geometry import Pose, euler_angles, matrix, wrap_angle
 from bulletarm_gym.observations import ElevationMap
 from bulletarm_gym.observations.cameras import SIDE_PIXELS, side_cameras
 
-STACKING = "BulletArm/OpenLoopBlockStacking-v0"
 CUBE = 0.03
 CENTRE, EXTENT = (0.45, 0.0), 0.4
 
 
 @pytest.fixture
 def env(make):
-    env = make(STACKING, seed=0)
-    return env
+    return make(STACKING, seed=0)
 
 
 def lay_out(env, *poses):

@@ -8,7 +8,7 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
-from rollouts import PICKING, finish, make_env, transcript
+from rollouts import GRASPING, PICKING, finish, make_env, transcript
 
 from bulletarm_gym.config import LIFT_HEIGHT
 from bulletarm_gym.geometry import PlacementError, Pose
@@ -214,16 +214,13 @@ def test_only_colours_show_which_cubes_are_sorted(make, env_id):
 # Object Grasping
 
 
-ENV_ID = "BulletArm/CloseLoopObjectGrasping-v0"
-
-
 def _poses(env):
     return {item.slot.name: item.pose for item in env.scene}
 
 
 def test_grasped_object_is_removed_at_reset_and_the_others_stay(make):
     """Also in the state."""
-    env = make(ENV_ID)
+    env = make(GRASPING)
     _, info = env.reset(seed=1)
     before = set(_poses(env))
     assert len(before) == 5 and info["is_valid"] and not info["is_held"]
@@ -233,14 +230,14 @@ def test_grasped_object_is_removed_at_reset_and_the_others_stay(make):
     env.reset()
     assert set(_poses(env)) == before - {held.slot.name}
     assert env.scene.robot.held is None and env.scene.robot.opening_ratio == 1.0
-    other = make(ENV_ID, 1, seed=6)
+    other = make(GRASPING, 1, seed=6)
     other.set_state(pickle.loads(pickle.dumps(env.get_state())))
     assert _poses(other) == _poses(env)
     assert transcript(other, 8) == transcript(env, 8)
 
 
 def test_scene_is_new_only_with_a_seed_an_option_or_an_invalid_scene(make):
-    env = make(ENV_ID, seed=2)
+    env = make(GRASPING, seed=2)
     before = _poses(env)
     for arguments in ({}, {"options": {"new_scene": False}}):
         env.reset(**arguments)
@@ -254,7 +251,7 @@ def test_scene_is_new_only_with_a_seed_an_option_or_an_invalid_scene(make):
 
 
 def test_new_objects_appear_when_all_are_grasped(make):
-    env, names = make(ENV_ID, num_objects=1), set()
+    env, names = make(GRASPING, num_objects=1), set()
     env.reset(seed=0)
     for _ in range(4):
         assert len(_poses(env)) == 1
@@ -266,7 +263,7 @@ def test_new_objects_appear_when_all_are_grasped(make):
 
 @pytest.mark.parametrize("parameters", [{}, {"random_orientation": False, "action_sequence": "pxyz"}])
 def test_expert_clears_the_tray(make, parameters):
-    env, outcomes = make(ENV_ID, **parameters), []
+    env, outcomes = make(GRASPING, **parameters), []
     env.reset(seed=0)
     for _ in range(6):
         outcomes.append(finish(env)[0])
@@ -285,7 +282,7 @@ def test_tray_is_possible_in_other_tasks(make):
 @pytest.mark.slow
 @pytest.mark.parametrize("robot", ["kuka", "panda", "ur5", "ur5_robotiq"])
 def test_every_object_alone_is_lifted(robot):
-    env, lifted = make_env(ENV_ID, robot=robot, num_objects=1), Counter()
+    env, lifted = make_env(GRASPING, robot=robot, num_objects=1), Counter()
     for index, item in enumerate(env.scene.objects):
         for seed in range(5):
             env.reset(seed=seed)

@@ -11,14 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from rollouts import PICKING, TYPICAL, advance, digest, is_open_loop, make_env, transcript
+from rollouts import PICKING, STACKING, TYPICAL, advance, digest, is_open_loop, make_env, transcript
 
 from bulletarm_gym.observations.depth_noise import measured_depths
 from bulletarm_gym.randomization import NAMES, PRESETS, Randomization
 from bulletarm_gym.simulation.state import Properties
 
 DRAWER = "BulletArm/CloseLoopDrawerOpening-v0"
-STACKING = "BulletArm/OpenLoopBlockStacking-v0"
 CHANGES = {"mass": 0.08, "friction": 0.7, "rolling_friction": 1e-3, "spinning_friction": 2e-3}
 CHANGES |= {"restitution": 0.1}
 GREEN = (0.1, 0.9, 0.2, 1.0)
@@ -93,14 +92,15 @@ def test_colour_in_effect_is_observed_and_rendered(make):
 def test_property_out_of_range_is_rejected(make):
     env = make("BulletArm/CloseLoopCornerPicking-v0", seed=0)
     before = env.get_state()
-    wrong = [("mass", 0.0), ("friction", -0.1), ("restitution", math.nan), ("colour", (0.1, 0.2, 0.3, 1.1))]
+    wrong = [("mass", 0.0), ("friction", "1"), ("restitution", math.nan), ("colour", (0.1, 0.2, 0.3, 1.1))]
     for slot, name, value in [*(("cube", *pair) for pair in wrong), ("corner", "mass", 1.0)]:
         with pytest.raises(ValueError, match=rf"^{name} must be .*, got "):
             env.scene[slot].set_properties(**{name: value})
     with pytest.raises(TypeError, match="weight"):
         env.scene["cube"].set_properties(weight=1.0)
-    with pytest.raises(ValueError, match="friction must be "):
-        env.scene.set_surface_properties(friction=-1.0)
+    for value in (-1.0, "1"):
+        with pytest.raises(ValueError, match=r"^friction must be .*, got "):
+            env.scene.set_surface_properties(friction=value)
     assert env.get_state() == before
 
 

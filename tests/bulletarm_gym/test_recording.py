@@ -10,14 +10,13 @@ import numpy as np
 import pytest
 from gymnasium.vector import AsyncVectorEnv
 from gymnasium.wrappers import ClipAction, RecordEpisodeStatistics, RescaleAction, TimeLimit
-from rollouts import PICKING, finish
+from rollouts import PICKING, REACHING, finish
 from stable_baselines3.common.monitor import Monitor
 
 from bulletarm_gym.demonstrations import RecordDemonstrations, collect, load, replay
 from bulletarm_gym.registry import VARIABLE
 from bulletarm_gym.wrappers import ImageObservation
 
-ENV_ID = "BulletArm/CloseLoopBlockReaching-v0"
 PARAMETERS = {"obs_size": 32, "max_steps": 5}
 IDLE = np.array([1, 0, 0, 0, 0], np.float32)
 
@@ -28,7 +27,7 @@ def path(tmp_path):
 
 
 def record(path, **parameters):
-    return RecordDemonstrations(gymnasium.make(ENV_ID, **{**PARAMETERS, **parameters}), path)
+    return RecordDemonstrations(gymnasium.make(REACHING, **{**PARAMETERS, **parameters}), path)
 
 
 def play(env, seed, by_expert=True):
@@ -56,7 +55,7 @@ def seeds(path):
 
 
 def test_recorded_expert_equals_collected_expert(path):
-    collected = collect(ENV_ID, 1, seed=0, env_kwargs=PARAMETERS)
+    collected = collect(REACHING, 1, seed=0, env_kwargs=PARAMETERS)
     assert play(record(path), collected[0].seed)
     recorded = load(path)
     assert recorded.about["planner"] == "human"
@@ -108,14 +107,14 @@ def test_recorded_actions_are_inside_the_action_space(path):
 
 def test_recorder_rejects_inner_wrappers_that_change_episodes(path):
     for wrap in (ClipAction, ImageObservation, partial(TimeLimit, max_episode_steps=3)):
-        env = wrap(gymnasium.make(ENV_ID, **PARAMETERS))
+        env = wrap(gymnasium.make(REACHING, **PARAMETERS))
         name = type(env).__name__
         with pytest.raises(ValueError, match=rf"got {name}\. Put the recorder inside: {name}\("):
             RecordDemonstrations(env, path)
 
 
 def test_inner_wrappers_may_observe_and_the_spec_makes_a_recorder_of_the_same_file(path):
-    env = RecordDemonstrations(Monitor(RecordEpisodeStatistics(gymnasium.make(ENV_ID, **PARAMETERS))), path)
+    env = RecordDemonstrations(Monitor(RecordEpisodeStatistics(gymnasium.make(REACHING, **PARAMETERS))), path)
     assert play(env, 0)
     again = gymnasium.make(record(path).spec)
     assert len(again) == 1 and play(again, 1) and seeds(path) == [0, 1]
@@ -168,7 +167,7 @@ def test_recorder_rejects_a_file_of_other_parameters(path, tmp_path):
     for env, file, message in (
         (gymnasium.make(PICKING, **PARAMETERS), path, f"env_id='{PICKING}'"),
         (gymnasium.make("CartPole-v1"), path, r"^env must be .*CartPole"),
-        (gymnasium.make(ENV_ID), tmp_path, f"^path must be a file such as .*, got the folder {tmp_path}"),
+        (gymnasium.make(REACHING), tmp_path, f"^path must be a file such as .*, got the folder {tmp_path}"),
     ):
         with pytest.raises(ValueError, match=message):
             RecordDemonstrations(env, file)

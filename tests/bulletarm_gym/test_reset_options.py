@@ -5,7 +5,7 @@ import re
 import gymnasium
 import numpy as np
 import pytest
-from rollouts import PICKING, finish
+from rollouts import GRASPING, PICKING, finish
 from stable_baselines3.common.env_util import make_vec_env
 
 from bulletarm_gym.demonstrations import RecordDemonstrations, load, replay
@@ -16,7 +16,6 @@ from bulletarm_gym.scene import scaled
 from bulletarm_gym.tasks.picking import BlockInBowl
 from bulletarm_gym.wrappers import ResetOptions
 
-GRASPING = "BulletArm/CloseLoopObjectGrasping-v0"
 PALLETIZING = "BulletArm/OpenLoopBoxPalletizing-v0"
 SIZES = {"object_scale_range": [0.6, 1.0], "obs_size": 32}
 FEWER = [

@@ -14,7 +14,18 @@ from dataclasses import dataclass, field, make_dataclass, replace
 
 import numpy as np
 import pytest
-from rollouts import PICKING, TYPICAL, advance, answer, digest, make_env, transcript
+from rollouts import (
+    CLOSE_STACKING,
+    GRASPING,
+    PICKING,
+    STACKING,
+    TYPICAL,
+    advance,
+    answer,
+    digest,
+    make_env,
+    transcript,
+)
 
 from bulletarm_gym.demonstrations import json_state
 from bulletarm_gym.env import ManipulationEnv
@@ -24,9 +35,6 @@ from bulletarm_gym.simulation.shapes import Box, Piece, wavefront
 from bulletarm_gym.tasks.picking import BlockPicking
 
 PULLING = "BulletArm/CloseLoopBlockPulling-v0"
-GRASPING = "BulletArm/CloseLoopObjectGrasping-v0"
-STACKING = "BulletArm/OpenLoopBlockStacking-v0"
-CLOSE_STACKING = "BulletArm/CloseLoopBlockStacking-v0"
 SEED = 3
 OTHER = {"fast_mode": False, "object_scale_range": [0.7, 0.9]}
 REAL = {"randomization": "real", "obs_size": 32}
@@ -42,10 +50,6 @@ CASES = [
     (TYPICAL[2], 1, {"object_scale_range": [0.5, 0.6]}, {"num_objects": 2, "object_scale_range": 0.5}),
 ]
 """Ids, numbers of the expert's steps, mid-grasp and mid-push among them, parameters, options of the reset."""
-
-
-def name_of(case):
-    return "-".join(str(part).rsplit("/")[-1] for part in case)
 
 
 def test_another_process_agrees(make, monkeypatch):
@@ -100,7 +104,7 @@ def test_rendering_and_queries_change_nothing(make, typical_id):
     assert transcript(watched, 8, seed=2, before_step=look) == expected
 
 
-@pytest.mark.parametrize("case", CASES, ids=name_of)
+@pytest.mark.parametrize("case", CASES, ids=lambda case: "-".join(str(part).rsplit("/")[-1] for part in case))
 def test_state_is_exact(make, case):
     env_id, moment, parameters, *options = case
     env, other = (make(env_id, instance, **parameters) for instance in range(2))

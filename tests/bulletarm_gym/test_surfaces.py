@@ -6,6 +6,7 @@ import re
 import gymnasium
 import numpy as np
 import pytest
+from rollouts import CLOSE_STACKING
 
 from bulletarm_gym.geometry import Footprint, PlacementError
 from bulletarm_gym.observations import HeightRenderer, Window
@@ -15,7 +16,6 @@ from bulletarm_gym.simulation import World
 from bulletarm_gym.simulation.state import PHYSICS_MODES
 from bulletarm_gym.surfaces import SURFACES, RampSurface
 
-ENV_ID = "BulletArm/CloseLoopBlockStacking-v0"
 WORKSPACE = [[0.25, 0.65], [-0.2, 0.2], [0.01, 0.5]]
 PARAMETERS = {"workspace": WORKSPACE, "num_objects": 4, "object_scale_range": 0.6}
 PIXELS = 96
@@ -27,7 +27,7 @@ SHOULDER = 2
 
 @pytest.fixture(params=["flat", "ramp", "bump"])
 def env(request, make):
-    return make(ENV_ID, surface=request.param, **PARAMETERS)
+    return make(CLOSE_STACKING, surface=request.param, **PARAMETERS)
 
 
 def load(name, site=(0.03, 0.03)):
@@ -167,7 +167,7 @@ def test_scenes_with_little_space_are_valid(make):
 
 @pytest.mark.parametrize("robot", ["kuka", "panda", "ur5"])
 def test_ramps_keep_clear_of_the_arm(make, robot):
-    scene = make(ENV_ID, surface="ramp", robot=robot, **PARAMETERS).scene
+    scene = make(CLOSE_STACKING, surface="ramp", robot=robot, **PARAMETERS).scene
     for seed in range(20):
         scene.clear(np.random.default_rng(seed))
         plates = [body for body in scene.surface.bodies[1:] if scene.world.active[body.index]]

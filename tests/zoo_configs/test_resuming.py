@@ -78,10 +78,6 @@ def test_a_resumed_run_has_the_tables_and_the_tensorboard_folder_of_its_options(
     assert len(folders) == 1 and str(folders[0]).startswith("sacfd_1_")
 
 
-def test_a_model_of_a_run_has_its_algorithm(run_folder, refuse):
-    assert "--algo" in refuse("enjoy", str(run_folder / "best_model.zip"), "--algo", "ppo")
-
-
 def test_a_run_that_cannot_be_resumed_is_one_line(run_folder, refuse):
     fixed = ("--seed", "--baseline", "--env", "--benchmark", "--log-folder")
     for words, text in (
@@ -113,7 +109,8 @@ def test_a_run_without_a_model_is_skipped(trained, toy_id, tmp_path, capsys, ref
     assert "has no model" in refuse("enjoy", str(killed))
 
 
-def test_a_damaged_model_and_other_observations_are_named(run_folder, tmp_path, refuse):
+def test_a_damaged_model_another_algorithm_and_other_observations_are_named(run_folder, tmp_path, refuse):
+    assert "--algo" in refuse("enjoy", str(run_folder / "best_model.zip"), "--algo", "ppo")
     shutil.copytree(run_folder, folder := tmp_path / RUN_NAME)
     content = (folder / "best_model.zip").read_bytes()
     for damaged in content[: len(content) // 2], b"", b"no archive":

@@ -12,7 +12,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from sb3_extensions.replay.buffer import ExpertReplayBuffer
 from sb3_extensions.replay.quantisation import Quantiser
-from sb3_extensions.replay.sampling import MIN_PRIORITY, ShareSampler
+from sb3_extensions.replay.sampling import MIN_PRIORITY, PrioritizedSampler, ShareSampler
 
 HEIGHT = 0.4
 OBSERVATION_SPACE = spaces.Dict(
@@ -254,11 +254,14 @@ def play(buffer, n_steps=1, success=False):
         buffer.add(obs, obs, np.zeros((1, 1)), np.full(1, float(success)), np.ones(1, bool), [info])
 
 
-@pytest.mark.parametrize(("options", "first"), [({"balanced_from": 8}, 8), ({}, 1)])
-def test_shares_apply_from_balanced_from_steps(options, first):
-    """By default from the first online step."""
-    divided = make_numbered_buffer(20, sampler={"shares": {"expert_fraction": 0.5, **options}})
-    uniform = make_numbered_buffer(20)
+@pytest.mark.parametrize(
+    ("options", "n_expert", "first"),
+    [({"balanced_from": 8}, 20, 8), ({"balanced_from": 8}, 7, 30), ({}, 20, 1)],
+)
+def test_shares_apply_from_balanced_from_steps(options, n_expert, first):
+    """Of both kinds; by default from the first online step."""
+    divided = make_numbered_buffer(n_expert, sampler={"shares": {"expert_fraction": 0.5, **options}})
+    uniform = make_numbered_buffer(n_expert)
     for online in range(1, 30):
         for buffer in (divided, uniform):
             play(buffer)
@@ -315,6 +318,11 @@ def test_probabilities_and_weights_follow_the_priorities(progress_remaining, bet
     weights = (10 * probabilities) ** -beta
     expected = (weights / weights.max())[np.searchsorted(rows, samples.indices)]
     np.testing.assert_allclose(samples.weights.numpy()[:, 0], expected, rtol=1e-5)
+
+
+def test_default_priorities_are_the_papers():
+    sampler = PrioritizedSampler()
+    assert (sampler.exponent, sampler.beta_start, sampler.expert_bonus) == (0.6, 0.4, 1.0)
 
 
 def test_a_new_step_gets_the_maximum_of_the_present_priorities(buffer):

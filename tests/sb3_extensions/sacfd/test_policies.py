@@ -40,11 +40,6 @@ def sample(space=SCENE):
     return {key: th.from_numpy(np.stack([each[key] for each in observations])) for key in space}
 
 
-def turn_observations(observations, turns, mirror):
-    image = observations["heightmap"]
-    return {**observations, "heightmap": th.rot90(image.flip(-1) if mirror else image, turns, (-2, -1))}
-
-
 def turn_actions(actions, sequence, turns, mirror):
     """A quarter turn takes (x, y) to (-y, x); the reflection, which comes first, to (x, -y), and r to -r.
 
@@ -88,7 +83,8 @@ def test_actor_and_critic_rotate_with_the_scene(group, n, policy_class, sequence
         values = q_values(observations, actions)
         assert mean.abs().max(dim=0).values.min() > 100 * EXACT and values.std() > 1e-3
         for turns, mirror in itertools.product(range(4), {False, group == "dihedral"}):
-            turned = turn_observations(observations, turns, mirror)
+            image = observations["heightmap"].flip(-1) if mirror else observations["heightmap"]
+            turned = {**observations, "heightmap": th.rot90(image, turns, (-2, -1))}
             turned_mean, turned_log_std, _ = policy.actor.get_action_dist_params(turned)
             rounding = EXACT * max(1.0, mean.abs().max().item())  # of float32, relative to the largest mean
             assert th.allclose(turned_mean, turn_actions(mean, sequence, turns, mirror), atol=rounding)

@@ -50,10 +50,6 @@ def test_saved_policy_has_the_same_actions(policy, scenes, tmp_path):
     assert policy.q_net.training and not policy.q_net_target.training
 
 
-def one_by_one(scenes):
-    return [{name: part[[k]] for name, part in sorted(scenes.items())} for k in range(10)]
-
-
 @pytest.mark.parametrize(
     "case",
     [
@@ -70,7 +66,7 @@ def one_by_one(scenes):
 def test_exported_programs_have_the_actions_of_the_policy(policy, scenes, tmp_path):
     """With torch.export, torch.jit, and, if it is installed, ONNX Runtime."""
     policy.set_training_mode(False)
-    first, *others = one_by_one(scenes)
+    first, *others = ({name: part[[k]] for name, part in sorted(scenes.items())} for k in range(10))
     with th.no_grad():
         program = th.export.export(policy, (first,))
         traced = th.jit.trace(policy, (first,), check_trace=False, strict=False)
@@ -134,8 +130,6 @@ def test_in_hand_images_of_any_size(side, make_picking, make_policy):
         ("FCNPolicy", {"action_sequence": "pxrr"}, "got 'pxrr'"),
         ("FCNPolicy", {"action_space": spaces.Box(-np.inf, 1.0, (4,))}, "bounded Box of 4 numbers"),
         ("FCNPolicy", {"observation_space": spaces.Box(-1.0, 1.0, (4,))}, "a Dict with a heightmap"),
-        ("FCNPolicy", {"autocast": "fp16"}, "autocast"),
-        ("FCNPolicy", {"codec_kwargs": {"num_tilts": 0}}, "num_tilts"),
         ("EquivariantASRPolicy", {"in_hand_size": 24}, "patch_fields .* 5 entries .* 24"),
         ("FCNPolicy", {"sequence": "pxyzrrr"}, r"got levels for \['theta'\]"),
         ("RotFCNPolicy", {"sequence": "pxyz"}, r"\['z'\] .* got levels for \[\]"),
