@@ -16,13 +16,17 @@ class DaggerCallback(BaseCallback):
 
     The agent's action is executed. Source: DAgger, https://arxiv.org/abs/1011.0686
 
-    :raises ValueError: at the start of ``learn()``, if the environment has no ``expert_action()``
+    :raises ValueError: at the start of ``learn()``, if the algorithm is not one of this package, or the
+        environment has no ``expert_action()``
     """
 
     model: OffPolicyFromDemonstrations
     _actions: npt.NDArray[Any] | None = None
 
     def _on_training_start(self) -> None:
+        if not isinstance(self.model, OffPolicyFromDemonstrations):
+            algorithm = type(self.model).__name__
+            raise ValueError(f"model must learn from demonstrations for DaggerCallback, got {algorithm}")
         if not self.training_env.has_attr("expert_action"):
             raise ValueError("env must have expert_action() for DaggerCallback, this one has none")
         self._actions = None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from inspect import signature
 from typing import Any
 
 import torch as th
@@ -44,9 +45,19 @@ class Augmentation(ABC):
         return values if self.window is None else self.window.average_views(values)
 
     def with_crop(self, policy_kwargs: dict[str, Any]) -> dict[str, Any]:
-        """Return arguments of a policy whose features extractor crops images to the size of the views."""
+        """
+        Return arguments of a policy whose features extractor crops images to the size of the views.
+
+        :raises ValueError: if ``features_extractor_class`` has no parameter ``crop``
+        """
         if self.window is None or self.window.size is None:
             return policy_kwargs
+        if extractor := policy_kwargs.get("features_extractor_class"):
+            try:
+                signature(extractor).bind_partial(crop=self.window.size)
+            except TypeError as error:
+                message = f"features_extractor_class must have a parameter crop for {self}, got {extractor}"
+                raise ValueError(message) from error
         extractor_kwargs = policy_kwargs.get("features_extractor_kwargs") or {}
         return {
             **policy_kwargs,

@@ -301,6 +301,10 @@ UNBOUNDED = box(1, 8, 8, high=np.inf)
         (lambda: EquivariantLinear(fields(D4.trivial), fields(D4.sign)), "commutes"),
         (lambda: EquivariantConv2d(MIXED, MIXED, 0), "kernel_size 0"),
         (lambda: RAD(16).check(scene()), "observation_space images 16"),
+        (
+            lambda: RAD(12).with_crop({"features_extractor_class": MlpExtractor}),
+            "features_extractor_class crop 12 MlpExtractor",
+        ),
         (lambda: Rotation().check(spaces.Dict({"image": box(1, 4, 5)})), "observation_space images"),
         (lambda: DrQ().check(box(1, 4, 5)), "observation_space images (1, 4, 5)"),
         (lambda: make_augmentation("rda"), "augmentation rotation, rad, drq, 'rda'"),

@@ -218,6 +218,11 @@ def test_dagger_needs_an_expert(make_learner):
         model.learn(5, callback=DaggerCallback())
 
 
+def test_dagger_needs_an_algorithm_with_demonstrations(make_toy):
+    with pytest.raises(ValueError, match=r"^model must .*, got SAC$"):
+        SAC("MultiInputPolicy", make_toy(), buffer_size=10).learn(5, callback=DaggerCallback())
+
+
 @pytest.fixture
 def make_model(make_toy, make_learner):
     """Makes FERM with random crops of 16 pixels: ``make_model(in_hand_size, **kwargs)``."""
