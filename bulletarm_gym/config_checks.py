@@ -4,6 +4,7 @@ import json
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -67,7 +68,7 @@ def _is_number(value: Any) -> bool:
 
 
 def _float(value: Any) -> float:
-    return float(value) if _is_number(value) else math.nan
+    return value if type(value) is float else float(value) if _is_number(value) else math.nan
 
 
 def _pair(value: Any) -> Any:
@@ -142,16 +143,22 @@ fraction = number(0.0, 1.0, "a number from 0 to 1")
 """Accept numbers from 0 to 1."""
 
 
+@cache
 def numbers(sign: str = "finite", count: int | None = None) -> Check:
     """Accept a finite number, or some numbers and return a tuple.
 
     :param sign: one of :data:`SIGNS`
     :param count: number of numbers, None for one that is not in a tuple
     """
-    one = number(SIGNS[sign], math.inf, f"a {sign} number")
+    low = SIGNS[sign]
+    if count is None:
+        return number(low, math.inf, f"a {sign} number")
+
+    def accepts(values: tuple[float, ...]) -> bool:
+        return len(values) == count and all([low <= value and math.isfinite(value) for value in values])
+
     text = f"{count} {sign} number{'' if count == 1 else 's'}"
-    several = rule(text, lambda values: len(values) == count, lambda values: tuple(map(one, values)))
-    return one if count is None else several
+    return rule(text, accepts, lambda values: tuple(map(_float, values)))
 
 
 def instance(*kinds: type) -> Check:

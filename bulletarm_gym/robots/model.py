@@ -224,7 +224,7 @@ class Dynamics:
         rising, braking = 2.0 / rise, -2.0 / (1.0 - rise)  # of a motion of length 1 in one second
         # Share of the path, speed and acceleration.
         phases = ((0.0, 0.0, rising), (rise, 2.0, rising), (rise, 2.0, braking), (1.0, 0.0, braking))
-        path = np.pad(path, ((0, 0), (0, 1)))
+        path = np.column_stack([path, np.zeros(len(path))])
         square = _least_square(self._model(load), path, TORQUE_SHARE * limits, np.array(phases))
         return min(math.ceil(math.sqrt(square) / TIME_STEP), MAX_STEPS)
 
