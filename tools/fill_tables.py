@@ -230,7 +230,7 @@ def ablation_table(source: Source) -> str:
         runs.setdefault(name, []).append({int(step): float(rate) for step, rate in pairs})
     lines = [
         [f"`{task}`", f"`{variant}`", *(_mean([curve[step] for curve in curves]) for step in ABLATION_STEPS)]
-        for (task, variant), curves in runs.items()
+        for (task, variant), curves in sorted(runs.items(), key=lambda item: item[0][0])
     ]
     heads = ["task", "variant", *(f"{step:,} steps" for step in ABLATION_STEPS)]
     return source.table("ablation", heads, lines, rows)
