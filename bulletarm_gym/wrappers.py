@@ -174,8 +174,8 @@ class GoalObservation(gymnasium.ObservationWrapper[Any, Any, Any], RecordConstru
         observation, _, terminated, truncated, info = self.env.step(action)
         if terminated and info["is_success"]:
             episode = self._core._episode
-            truncated = episode.steps >= self._core.config.max_steps
-            terminated, episode.ended = False, truncated
+            terminated, episode.ended = False, episode.steps >= self._core.config.max_steps
+            truncated = truncated or episode.ended
         found = self.observation(observation)
         reward = self.compute_reward(found["achieved_goal"], found["desired_goal"], info)
         return found, float(reward), terminated, truncated, info

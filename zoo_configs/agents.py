@@ -187,9 +187,9 @@ def load_model(
         raise unknown_name("algorithm", algo, algorithms)
     if not path.is_file():
         raise CommandError(f"{path} does not exist")
-    # Our replay buffers allocate no memory before the first transition.
+    # Acting needs no replay buffer: those of SB3 allocate their memory, HerReplayBuffer needs an environment.
     has_buffer = algo not in ALGORITHMS and "buffer_size" in constructor_arguments(algorithms[algo])
-    buffer = {"buffer_size": 1} if has_buffer else {}
+    buffer = {"replay_buffer": ()} if has_buffer else {}
     with refused(f"{path} is damaged or from another version"):
         model: BaseAlgorithm = algorithms[algo].load(
             path, device=device, custom_objects=dict(objects), **buffer

@@ -53,9 +53,10 @@ def collect(
     :param noise: standard deviation of normal noise on each number of the waypoint planner's actions, in
         units of the action space. The noisy actions are stored
     :param env_kwargs: parameters of the environment
-    :param path: file to which the episodes are also written, atomically
+    :param path: new file to which the episodes are also written, atomically
     :param max_attempts: maximum number of episodes to begin, by default four for each successful one
     :param progress: show a progress bar, by default on a terminal
+    :raises FileExistsError: ``path`` exists
     :raises ValueError: a parameter has an invalid value, or the planner cannot be used with this environment
     :raises RuntimeError: too few attempts succeeded
     """
@@ -64,7 +65,7 @@ def collect(
     check_argument("max_attempts", max_attempts, optional(integer(1)))
     check_argument("env_kwargs", env_kwargs, optional(mapping))
     noise = check_argument("noise", noise, fraction)
-    target = None if path is None else writable_path(Path(path))
+    target = None if path is None else new_path(Path(path))
     seed = int(np.random.SeedSequence().generate_state(1)[0] if seed is None else seed)
     most = max_attempts or 4 * episodes
     is_silent = None if progress is None else not progress
@@ -160,6 +161,13 @@ def checked_env(env: gymnasium.Env[Any, Any], argument: str) -> ManipulationEnv:
         must = "of an environment of this package or of a registered task"
         raise ValueError(f"{argument} must be {must}, got {env}")
     return core
+
+
+def new_path(path: Path) -> Path:
+    """Return a path to which a new file can be written, or raise ValueError or OSError."""
+    if path.is_file():
+        raise FileExistsError(f"path must be a new file, got {path}, which exists")
+    return writable_path(path)
 
 
 def writable_path(path: Path) -> Path:

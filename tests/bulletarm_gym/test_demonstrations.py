@@ -89,7 +89,7 @@ def test_noise_changes_actions(picked):
         assert list(replay(noisy, 0, env))
 
 
-def test_collect_rejects_other_arguments():
+def test_collect_rejects_other_arguments(tmp_path):
     for arguments, options, message in (
         ((PICKING, 0), {}, "^episodes must be .*, got 0"),
         ((PICKING, 1, "magic"), {}, "^planner must be .*, got 'magic'"),
@@ -107,6 +107,9 @@ def test_collect_rejects_other_arguments():
     ):
         with pytest.raises(ValueError, match=message):
             collect(*arguments, **options)
+    (tmp_path / "taken.h5").touch()
+    with pytest.raises(FileExistsError, match=r"^path must be a new file, got .*taken\.h5"):
+        collect(PICKING, 1, path=tmp_path / "taken.h5")
 
 
 def test_files_and_slices_keep_everything(basket, tmp_path):

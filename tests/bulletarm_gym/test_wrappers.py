@@ -205,6 +205,9 @@ def test_episode_continues_after_success_until_the_limit_of_steps():
     assert rewards[-1] == 1.0 and 0.0 < sum(rewards) < 7.0 and env.unwrapped.np_random_seed == 0
     with pytest.raises(gymnasium.error.ResetNeeded):
         env.step(env.action_space.sample())
+    limited = GoalObservation(wrappers.TimeLimit(env.env, 3))
+    limited.reset(seed=0)
+    assert [limited.step(expert())[3] for _ in range(3)] == [False, False, True]
 
 
 def test_stack_above_the_surface_is_no_goal():

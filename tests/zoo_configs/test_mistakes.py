@@ -89,6 +89,7 @@ DEMOS --env-kwargs robot:x                                        => 'kuka'
 DEMOS --planner magic                                             => magic
 DEMOS --planner deconstruction                                    => pick and place
 DEMOS -o a.txt                                                    => .h5
+DEMOS -o taken.h5                                                 => a new file
 record                                                            => run folder
 record --expert                                                   => --env
 record nowhere --expert --env TOY                                 => --expert
@@ -163,6 +164,7 @@ def files(tmp_path):
         "tiny.yml": yaml.safe_dump(TINY),
         "space.yml": "bc_wight: {low: 0, high: 1}",
         "damaged.zip": "x",
+        "taken.h5": "x",
         "leaving.py": "import sys; sys.exit(0)",
     }.items():
         (tmp_path / name).parent.mkdir(exist_ok=True)

@@ -29,7 +29,7 @@ from zoo_configs.errors import CommandError
 from zoo_configs.experiments.config import ExperimentConfig, resolve
 from zoo_configs.files import write_yaml
 from zoo_configs.training.options import TrainingOptions
-from zoo_configs.training.runs import load_run
+from zoo_configs.training.runs import find_runs, load_run
 from zoo_configs.training.state import State
 from zoo_configs.training.train import TrainingInterrupted, train_experiment
 
@@ -240,6 +240,22 @@ def test_a_stock_algorithm_trains(algo, env_id, parameters, toy_id, tmp_path):
     options = ["-n", "8", "--eval-freq", "-1", "--no-progress", "--env-kwargs"]
     assert main(["train", *named, *options, *parameters]) == 0
     assert main(["enjoy", *named, "-n", "1", "--no-progress"]) == 0
+    assert main(["train", "--resume", str(find_runs(tmp_path)[0].folder), "-n", "16", "--no-progress"]) == 0
+
+
+def test_an_agent_with_hindsight_replay_acts(tmp_path):
+    config = {
+        "n_timesteps": 8,
+        "policy": "MultiInputPolicy",
+        "env_kwargs": {"observation": "state", "max_steps": 4},
+        "env_wrapper": "bulletarm_gym.wrappers.GoalObservation",
+        "replay_buffer_class": "stable_baselines3.HerReplayBuffer",
+    }
+    (file := tmp_path / "her.yml").write_text(yaml.safe_dump({"default": config}))
+    words = ["--algo", "sac", "--env", REACHING, "--conf-file", str(file), "--eval-freq", "0"]
+    assert main(["train", *words, "-f", str(tmp_path), "--no-progress"]) == 0
+    [run] = find_runs(tmp_path)
+    assert main(["enjoy", str(run.folder), "-n", "1", "--no-progress"]) == 0
 
 
 MODULE, OWN_ID = "my_own_tasks", "BulletArm/CloseLoopOwnReaching-v0"
@@ -294,9 +310,9 @@ def test_a_run_stores_the_package_of_its_task(own_tasks, train_tiny, capsys):
 def test_commands_import_tasks_and_rewards(own_tasks, capsys):
     words = ["demos", "--env", REACHING, "-n", "1", "--env-kwargs", "obs_size:32"]
     assert main(["list", "--env", OWN_ID, "--gym-packages", MODULE]) == 0
-    assert main([*words, f"reward:{MODULE}:steps"]) == 0
     assert main([*words, f"reward:{MODULE}:stepz"]) == 2
     assert "stepz" in capsys.readouterr().err
+    assert main([*words, f"reward:{MODULE}:steps"]) == 0
     forget()
     (own_tasks / f"{MODULE}.py").write_text("def")
     assert main(["enjoy", "--gym-packages", MODULE]) == 2

@@ -213,6 +213,12 @@ def test_a_space_is_extended_by_the_value_of_the_command_line(space, value, stor
     assert first_values((parameter,), experiment) == {name: stored[0]}
 
 
+def test_choices_may_be_lists(tmp_path):
+    (file := tmp_path / "space.yml").write_text("policy_kwargs.net_arch.qf: {choices: [[8], [16, 16]]}")
+    [parameter] = load_space(resolve("sacfd", "quick", PICKING), {}, file)
+    assert parameter.choices[-2:] == ([8], [16, 16])
+
+
 def test_whole_number_bounds_mean_whole_numbers_except_for_floats(tmp_path):
     names = ("batch_size", "n_envs", "learning_rate", "bc_weight")
     (file := tmp_path / "space.yml").write_text(yaml.safe_dump({key: {"low": 1, "high": 9} for key in names}))

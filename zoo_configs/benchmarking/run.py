@@ -46,7 +46,7 @@ class Size(NamedTuple):
 def size_of(job: Run) -> Size:
     """Return the size of a run, which depends mainly on its replay buffer."""
     buffer = _buffer_gigabytes(job)
-    return Size(PROCESS_GIGABYTES + buffer, CHECKPOINTS * buffer if job.options.save_freq > 0 else 0.0)
+    return Size(PROCESS_GIGABYTES + buffer, CHECKPOINTS * buffer if job.options.save_freq else 0.0)
 
 
 def _buffer_gigabytes(job: Run) -> float:

@@ -6,7 +6,7 @@ from statistics import fmean
 from bulletarm_gym.demonstrations import collect
 from zoo_configs.arguments import check_device
 from zoo_configs.environments import known_env_id, register_environments, try_env
-from zoo_configs.errors import refused
+from zoo_configs.errors import CommandError, refused
 from zoo_configs.files import check_writable, print_written
 
 
@@ -17,6 +17,8 @@ def main(args: argparse.Namespace) -> None:
     env_id = known_env_id(args.env)
     path = args.output or args.log_folder / f"{env_id.rpartition('/')[2]}-{args.planner}.h5"
     check_writable(path, "--output")
+    if path.exists():
+        raise CommandError(f"--output must be a new file, got {path}, which exists")
     try_env(env_id, args.env_kwargs)
     settings = {"seed": args.seed, "env_kwargs": args.env_kwargs, "path": path, "progress": args.progress}
     with refused(f"{env_id}: no demonstrations", (RuntimeError, ValueError)):

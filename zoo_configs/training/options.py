@@ -35,7 +35,9 @@ class TrainingOptions:
     eval_freq: int = _option(25000, "time steps between two evaluations, 0 for none", type=int)
     eval_episodes: int = _option(5, "episodes of an evaluation", type=whole_number(1))
     n_eval_envs: int = _option(1, "environments of an evaluation", type=whole_number(1))
-    save_freq: int = _option(-1, "time steps between two checkpoints, 0 for none", type=int)
+    save_freq: int = _option(
+        -1, "time steps between two checkpoints, 0 for none (default: a tenth of the training)", type=int
+    )
     vec_env: str = _option(
         "dummy", "all environments in one process, or one process each", choices=("dummy", "subproc")
     )

@@ -84,7 +84,7 @@ class Trainer:
             self.model.learn(
                 steps, callback=self.callbacks, reset_num_timesteps=self.checkpoint is None, **options
             )
-            if self.options.save_freq > 0:
+            if self.options.save_freq:
                 save_checkpoint(self.model, self.run.checkpoint_folder)
         except KeyboardInterrupt:
             for callback in self.callbacks:
@@ -128,8 +128,9 @@ class Trainer:
             env.seed(stream_seed(self.run.seed, SeedStream.EVALUATION))
             found.append(TrainingLog(self.run.training_log, options.eval_freq))
             found.append(PeriodicEvaluation(self.run, env, self.verbose))
-        if options.save_freq > 0:
-            found.append(DirectoryCheckpointCallback(options.save_freq, self.run.checkpoint_folder))
+        if options.save_freq:
+            freq = options.save_freq if options.save_freq > 0 else -(-self.run.n_timesteps // 10)
+            found.append(DirectoryCheckpointCallback(freq, self.run.checkpoint_folder))
         return found
 
     def _model(self, env: VecEnv) -> BaseAlgorithm:

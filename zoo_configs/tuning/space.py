@@ -94,11 +94,11 @@ def load_space(
 
 def _check_values(space: Iterable[Parameter], experiment: ExperimentConfig) -> None:
     """Raise ``CommandError`` if an experiment cannot have the choices or the bounds of its parameters."""
-    values = {parameter: parameter.choices or (parameter.low, parameter.high) for parameter in space}
-    for parameter, (first, *_) in values.items():
+    values = [(parameter, parameter.choices or (parameter.low, parameter.high)) for parameter in space]
+    for parameter, (first, *_) in values:
         experiment = experiment.overridden(_nested(parameter, first, experiment))
-    for parameter in values:
-        for value in values[parameter]:
+    for parameter, several in values:
+        for value in several:
             check_experiment(experiment.overridden(_nested(parameter, value, experiment)))
 
 
