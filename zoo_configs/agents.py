@@ -187,7 +187,7 @@ def load_model(
         raise unknown_name("algorithm", algo, algorithms)
     if not path.is_file():
         raise CommandError(f"{path} does not exist")
-    # Acting needs no replay buffer: those of SB3 allocate their memory, HerReplayBuffer needs an environment.
+    # An agent needs no replay buffer. SB3's allocate memory, and HerReplayBuffer needs an environment.
     has_buffer = algo not in ALGORITHMS and "buffer_size" in constructor_arguments(algorithms[algo])
     buffer = {"replay_buffer": ()} if has_buffer else {}
     with refused(f"{path} is damaged or from another version"):

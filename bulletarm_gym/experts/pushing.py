@@ -63,7 +63,7 @@ class Drag:
         self._surface, self._goal, self._low = scene.surface, goal, low
         block, behind = obj.pose, obj.spec.extents[0] / 2.0 + CLEARANCE
         dx, dy = goal[0] - block.x, goal[1] - block.y
-        length = max(math.hypot(dx, dy), 1e-9)
+        length = max(math.hypot(dx, dy), 1e-9)  # 0 if the block is at the goal
         line = (dx / length, dy / length)
         self._start = (block.x - behind * line[0], block.y - behind * line[1])
         limits = zip(self._start, scene.config.workspace[:2], strict=True)
