@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import dataclass, field
+from statistics import fmean
 from typing import Any, NamedTuple
 
 from scipy.stats import binomtest
@@ -34,7 +35,7 @@ class EvalOptions:
 
 
 class Outcome(NamedTuple):
-    """Success and return (sum of rewards) of each episode of an evaluation."""
+    """Success, if the environment reports it, and return (sum of rewards) of each episode."""
 
     successes: list[bool]
     returns: list[float]
@@ -45,8 +46,17 @@ class Outcome(NamedTuple):
         return sum(self.successes) / max(len(self.successes), 1)
 
     @property
+    def summary(self) -> str:
+        """Success rate, or the mean return if the environment reports no success."""
+        if self.successes:
+            return f"success_rate={self.success_rate:.2f}"
+        return f"mean_return={fmean(self.returns):.2f}"
+
+    @property
     def interval(self) -> tuple[float, float]:
-        """Wilson's 95 % interval of the success rate of this agent."""
+        """Wilson's 95 % interval of the success rate; raise ``CommandError`` without one."""
+        if not self.successes:
+            raise CommandError("the environment does not report is_success")
         low, high = binomtest(sum(self.successes), len(self.successes)).proportion_ci(method="wilson")
         return float(low), float(high)
 
@@ -80,10 +90,11 @@ def evaluate_agent(agent: Agent, options: EvalOptions) -> Outcome:
 
         def note(local: dict[str, Any], _: dict[str, Any]) -> None:
             if local["done"]:
-                outcome.successes.append(bool(local["info"].get("is_success", False)))
+                if "is_success" in local["info"]:
+                    outcome.successes.append(bool(local["info"]["is_success"]))
                 outcome.returns.append(float(local["current_rewards"][local["i"]]))
                 bar.update()
-                bar.set_postfix(success=f"{outcome.success_rate:.2f}")
+                bar.set_postfix_str(outcome.summary)
 
         check_fits(env, agent)
         evaluate_policy(agent.model, env, options.episodes, callback=note)

@@ -92,7 +92,8 @@ def parse_tune(argv: Sequence[str]) -> argparse.Namespace:
 def parse_enjoy(argv: Sequence[str]) -> argparse.Namespace:
     """
     Evaluate a trained agent with its deterministic policy: the agent of a run, a model that save() wrote, or,
-    with --published, an agent of the package. The last line is, for example, "success_rate=0.98 episodes=50".
+    with --published, an agent of the package. The last line is, for example, "success_rate=0.98 episodes=50",
+    or "mean_return=-150.20 episodes=50" if the environment reports no success.
     """
     parser = _parser(parse_enjoy)
     add_agent_flags(parser)

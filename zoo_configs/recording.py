@@ -15,7 +15,7 @@ from zoo_configs.drawing.video import FRAMES_PER_SECOND, Frame, ValueMap, compos
 from zoo_configs.environments import SeedStream, known_env_id, make_env, stream_seed, tried_env
 from zoo_configs.errors import CommandError, refused
 from zoo_configs.evaluating import check_fits, check_unwrapped
-from zoo_configs.training.objects import wrapper
+from zoo_configs.training.objects import wrapped
 
 RENDER_MODE = "rgb_array"
 FINAL_SECONDS = 1.0  # duration of the last frame of an episode
@@ -27,13 +27,14 @@ class Actor(NamedTuple):
     Policy and environment to record.
 
     :param env: Environment with ``render_mode="rgb_array"``
+    :param act: Function from observation and state of a recurrent policy to action and next state
     :param folder: Default folder of the video
     :param evaluate_pixels: Function from observation to the values of its pixels; None for other policies
     """
 
     name: str
     env: gym.Env[Any, Any]
-    act: Callable[[Any], Any]
+    act: Callable[[Any, Any], tuple[Any, Any]]
     folder: Path = Path()
     evaluate_pixels: Callable[[Any], ValueMap] | None = None
 
@@ -61,19 +62,18 @@ def expert_actor(env_id: str, env_kwargs: Mapping[str, Any]) -> Actor:
     """Return the expert of an environment; raise ``CommandError`` if it has none."""
     env = _make(known_env_id(env_id), env_kwargs, is_expert=True)
     expert = env.unwrapped.expert_action  # type: ignore[attr-defined]
-    return Actor("expert", env, lambda _: expert())
+    return Actor("expert", env, lambda *_: (expert(), None))
 
 
 def agent_actor(agent: Agent, env_kwargs: Mapping[str, Any]) -> Actor:
     """Return an agent in its environment; raise ``CommandError`` if the environment does not fit it."""
     check_unwrapped(agent.hyperparams, WRAPPERS, "which record does not support")
     env = _make(agent.env_id, {**agent.env_kwargs, **env_kwargs})
-    wrap = wrapper(agent.hyperparams.get("env_wrapper"))
-    env = wrap(env) if wrap is not None else env
+    env = wrapped(env, agent.hyperparams.get("env_wrapper"))
     check_fits(env, agent)
 
-    def act(observation: Any) -> Any:
-        return agent.model.predict(observation, deterministic=True)[0]
+    def act(observation: Any, state: Any) -> tuple[Any, Any]:
+        return agent.model.predict(observation, state, deterministic=True)
 
     folder = Path() if agent.run is None else agent.run.folder
     return Actor(agent.label, env, act, folder, _pixel_values(agent.model.policy))
@@ -106,7 +106,7 @@ def record(actor: Actor, episodes: int, seed: int, progress: bool = False) -> It
 
 def _record_episode(actor: Actor, seed: int, title: str) -> Iterator[tuple[Frame, bool]]:
     """Yield the frames of an episode, each with the success at that time."""
-    env, over = actor.env, False
+    env, over, state = actor.env, False, None
     seen, info = env.reset(seed=seed)
     for step in itertools.count():
         success = bool(info.get("is_success", False))
@@ -121,7 +121,8 @@ def _record_episode(actor: Actor, seed: int, title: str) -> Iterator[tuple[Frame
         unwrapped: Any = env.unwrapped
         motion = unwrapped.viewer.record_images(env.render) if _is_open_loop(env) else nullcontext(())
         with motion as pictures:  # images of the motion during an open-loop action
-            seen, _, terminated, truncated, info = env.step(actor.act(seen))
+            action, state = actor.act(seen, state)
+            seen, _, terminated, truncated, info = env.step(action)
         over = terminated or truncated
         for picture in pictures:
             yield compose_frame(picture, images, caption, success, values), success

@@ -67,6 +67,8 @@ TRAIN -params env_wrapper:none.Wrapper                            => env_wrapper
 TRAIN -params "policy_kwargs:dict(net_arch="                      => policy_kwargs
 TRAIN -params noise_type:red                                      => noise_type
 TRAIN -params noise_type:normal                                   => noise_std
+TRAIN -params normalize:3                                         => normalize
+train --algo ppo --env TOY --dry-run -params clip_range:[1]       => clip_range
 TRAIN -params ent_coef:.nan                                       => ent_coef
 TRAIN -params env_kwargs:5                                        => env_kwargs must be
 TRAIN -params env_kwargs:null --env-kwargs obs_size:48            => env_kwargs must be

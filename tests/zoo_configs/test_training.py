@@ -14,12 +14,15 @@ import pandas as pd
 import pytest
 import torch as th
 import yaml
+from sb3_contrib import RecurrentPPO
 from stable_baselines3.common.callbacks import BaseCallback
 from sweeps import TINY, TUNED, same
 from toy_env import TOY_ID
 
 from bulletarm_gym.benchmarks import BENCHMARKS
 from measure_updates import make_model
+from zoo_configs import recording
+from zoo_configs.agents import Agent
 from zoo_configs.algorithms import algorithm_classes
 from zoo_configs.cli import main
 from zoo_configs.drawing.curves import read_training_log
@@ -228,19 +231,43 @@ def check_updates(baseline, run):
         assert found["checksums"] == golden[baseline]["checksums"]
 
 
+SHORTER = "{gymnasium.wrappers.TimeLimit: {max_episode_steps: 3}}"
+BUFFER = "rollout_buffer_class:stable_baselines3.common.buffers.DictRolloutBuffer"
+
+
 @pytest.mark.parametrize(
     ("algo", "env_id", "parameters"),
     [
         ("sac", "Pendulum-v1", ["g:9.0", "-params", "learning_starts:4"]),
-        ("ppo", "TOY", ["obs_size:48", "-params", "n_steps:8", "batch_size:8"]),
+        (
+            "ppo",
+            "TOY",
+            ["obs_size:48", "-params", "n_steps:8", "batch_size:8", BUFFER, f"env_wrapper:{SHORTER}"],
+        ),
+        ("ppo_lstm", "Pendulum-v1", ["g:9.0", "-params", "n_steps:8", "batch_size:8"]),
     ],
 )
-def test_a_stock_algorithm_trains(algo, env_id, parameters, toy_id, tmp_path):
+def test_a_stock_algorithm_trains(algo, env_id, parameters, toy_id, tmp_path, capsys):
     named = ["--algo", algo, "--env", env_id.replace("TOY", toy_id), "-f", str(tmp_path), "--device", "cpu"]
     options = ["-n", "8", "--eval-freq", "-1", "--no-progress", "--env-kwargs"]
     assert main(["train", *named, *options, *parameters]) == 0
     assert main(["enjoy", *named, "-n", "1", "--no-progress"]) == 0
-    assert main(["train", "--resume", str(find_runs(tmp_path)[0].folder), "-n", "16", "--no-progress"]) == 0
+    reported = "success_rate=" if env_id == "TOY" else "mean_return=-"
+    assert capsys.readouterr().out.splitlines()[-1].startswith(reported)
+    [run] = find_runs(tmp_path)
+    for path in run.folder.glob("*.monitor.csv"):  # a copied folder need not have them
+        path.unlink()
+    assert main(["train", "--resume", str(run.folder), "-n", "16", "--no-progress"]) == 0
+
+
+def test_a_recorded_agent_keeps_the_state_of_its_policy(monkeypatch):
+    monkeypatch.setattr(recording, "_make", lambda env_id, kwargs: gym.make(env_id, **kwargs))
+    env = gym.make("Pendulum-v1")
+    agent = Agent(RecurrentPPO("MlpLstmPolicy", env, n_steps=8, batch_size=8), Path(), "", "Pendulum-v1")
+    act, (seen, _) = recording.agent_actor(agent, {}).act, env.reset(seed=0)
+    _, first = act(seen, None)
+    _, second = act(seen, first)
+    assert not np.array_equal(first[0], second[0])
 
 
 def test_an_agent_with_hindsight_replay_acts(tmp_path):

@@ -12,4 +12,4 @@ def main(args: argparse.Namespace) -> None:
     options = EvalOptions(args.episodes, args.seed, args.n_envs, args.env_kwargs, args.progress)
     print(f"{agent.label} on {agent.env_id}, model {agent.path}")
     outcome = evaluate_agent(agent, options)
-    print(f"success_rate={outcome.success_rate:.2f} episodes={args.episodes}")
+    print(f"{outcome.summary} episodes={args.episodes}")

@@ -59,7 +59,7 @@ def load_curve(path: Path) -> LearningCurve:
 def read_training_log(path: Path) -> pd.DataFrame:
     """Read the table of a run; raise ``CommandError`` if it is damaged."""
     with refused(f"{path} is damaged"):
-        return pd.read_csv(path)
+        return pd.read_csv(path).astype({TIMESTEPS: int})
 
 
 def mean_curve(curves: Sequence[LearningCurve]) -> LearningCurve:

@@ -17,6 +17,8 @@ EXTRACTOR = "sb3_extensions.encoders.extractors.CnnExtractor"
 PRESETS = "cpu, paper, or for closed-loop tasks quick"
 DEFAULT_TIMESTEPS = 1_000_000
 """Time steps of a training without baseline or file, as in rl_zoo3."""
+POLICIES = {"ars": "LinearPolicy", "ppo_lstm": "MlpLstmPolicy"}
+"""Default policies of algorithms other than ``"MlpPolicy"``."""
 DICT_POLICIES = ("MultiInputPolicy", "MultiInputLstmPolicy")
 
 
@@ -99,9 +101,8 @@ def _default_experiment(algo: str, env_id: str, overrides: dict[str, Any]) -> Ex
         raise CommandError(f"no baseline of {algo} for {env_id}. Use --baseline or --conf-file.")
     if algo not in OTHERS:
         raise unknown_name("algorithm", algo, [*ALGORITHMS, *OTHERS])
-    hyperparams: dict[str, Any] = {"n_timesteps": DEFAULT_TIMESTEPS, "policy": "MlpPolicy"}
-    if algo == "ars":
-        hyperparams["policy"] = "LinearPolicy"
+    policy = POLICIES.get(algo, "MlpPolicy")
+    hyperparams: dict[str, Any] = {"n_timesteps": DEFAULT_TIMESTEPS, "policy": policy}
     if any(family.has_env(env_id) for family in families()) and "policy" not in overrides:
         aliases = algorithm_classes()[algo].policy_aliases
         policies = [name for name in DICT_POLICIES if name in aliases]

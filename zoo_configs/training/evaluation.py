@@ -14,6 +14,7 @@ from stable_baselines3.common.vec_env import VecEnv, sync_envs_normalization
 from sb3_extensions.equivariant.layers import expanded_filters
 from zoo_configs.drawing.curves import TIMESTEPS, read_training_log
 from zoo_configs.environments import SeedStream, stream_seed
+from zoo_configs.errors import refused
 from zoo_configs.files import whole_file
 from zoo_configs.training.runs import Run
 
@@ -45,7 +46,8 @@ class PeriodicEvaluation(BaseCallback):
         self._calls = max(self.freq // self.training_env.num_envs, 1)
         if not self.run.evaluations_file.is_file():
             return
-        with np.load(self.run.evaluations_file) as saved:
+        path = self.run.evaluations_file
+        with refused(f"{path} is damaged"), np.load(path) as saved:
             known = saved["timesteps"] <= training_time(self)
             self._arrays = {name: list(saved[name][known]) for name in saved}
         if self._arrays["timesteps"] and self._arrays["timesteps"][-1] == training_time(self):

@@ -1,7 +1,7 @@
 """Python objects for YAML hyperparameters: schedules, classes, wrappers, callbacks, noise, environments."""
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,10 @@ TRAINER_KEYS = (
 SCHEDULES = ("learning_rate", "clip_range", "clip_range_vf", "delta_std")
 SCHEDULE = re.compile(r"(lin_)(.+)")
 """Value that falls linearly to zero, with rl_zoo3's spelling."""
-EVALUATED = ("policy_kwargs", "replay_buffer_class", "replay_buffer_kwargs", "monitor_kwargs", "normalize")
+EVALUATED = (
+    *("monitor_kwargs", "normalize", "policy_kwargs", "replay_buffer_class", "replay_buffer_kwargs"),
+    *("rollout_buffer_class", "rollout_buffer_kwargs"),
+)
 """Hyperparameters that rl_zoo3's files write as Python expressions, such as ``dict(net_arch=[64])``."""
 NAMES = {"__builtins__": {}, "dict": dict, "nn": th.nn, "th": th}
 """Names that such an expression can use."""
@@ -47,10 +50,8 @@ class LinearSchedule:
 
 def parsed(hyperparams: Mapping[str, Any]) -> dict[str, Any]:
     """Return a copy of YAML hyperparameters with schedules, classes and tuples for their descriptions."""
-    values = {key: _evaluate(value) if key in EVALUATED else value for key, value in hyperparams.items()}
-    for key in ("policy_kwargs", "replay_buffer_class", "replay_buffer_kwargs"):
-        if key in values:
-            values[key] = import_classes(values[key], is_class=key.endswith("_class"))
+    evaluated = {key: _evaluate(value) for key, value in hyperparams.items() if key in EVALUATED}
+    values = {**hyperparams, **import_classes(evaluated)}
     if "." in (policy := values.get("policy", "")):
         values["policy"] = class_from_path(policy)
     for key in SCHEDULES:
@@ -77,24 +78,19 @@ def import_classes(value: Any, is_class: bool = False) -> Any:
     return value
 
 
-def wrapper(description: Any) -> Callable[[Any], Any] | None:
-    """
-    Return a function that wraps environments, None if nothing is described.
-
-    :param description: None, an import path, a mapping from one path to arguments, or a list of these
-    """
-    classes = described_classes(description)
-
-    def wrap(env: Any) -> Any:
-        for cls, kwargs in classes:
-            env = cls(env, **kwargs)
-        return env
-
-    return wrap if classes else None
+def wrapped(env: Any, description: Any) -> Any:
+    """Return an environment in the wrappers of a description, as for :func:`described_classes`."""
+    for cls, kwargs in described_classes(description):
+        env = cls(env, **kwargs)
+    return env
 
 
 def described_classes(description: Any) -> list[tuple[type[Any], dict[str, Any]]]:
-    """Return the classes and their arguments of a description as for :func:`wrapper`."""
+    """
+    Return the classes and their arguments of a description.
+
+    :param description: None, an import path, a mapping from one path to arguments, or a list of these
+    """
     if description is None:
         return []
     entries = description if isinstance(description, list) else [description]
@@ -136,18 +132,22 @@ def build_vec_env(
     monitor_kwargs = {**(values.get("monitor_kwargs") or {}), "override_existing": override_existing}
     if "info_keywords" in monitor_kwargs:  # Monitor requires a tuple
         monitor_kwargs["info_keywords"] = tuple(monitor_kwargs["info_keywords"])
+    spec = gym.spec(env_id)  # worker processes need not have registered the id
+
+    def make(**kwargs: Any) -> Any:
+        # Below the monitor, which otherwise does not count episodes that a wrapper ends.
+        return wrapped(spec.make(**kwargs), values.get("env_wrapper"))
+
     env = make_vec_env(
-        gym.spec(env_id).make,  # worker processes need not have registered the id
+        make,
         n_envs=n_envs,
         seed=seed,
         monitor_dir=None if monitor_dir is None else str(monitor_dir),
-        wrapper_class=wrapper(values.get("env_wrapper")),
         env_kwargs=dict(values.get("env_kwargs", {})),
         vec_env_cls=VEC_ENVS[vec_env],
         monitor_kwargs=monitor_kwargs,
     )
-    if (wrap := wrapper(values.get("vec_env_wrapper"))) is not None:
-        env = wrap(env)
+    env = wrapped(env, values.get("vec_env_wrapper"))
     env = _normalized(env, values, for_evaluation, statistics)
     if values.get("frame_stack"):
         env = VecFrameStack(env, values["frame_stack"])

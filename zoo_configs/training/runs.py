@@ -178,7 +178,8 @@ def cut_monitor_files(run: Run, steps: Sequence[int]) -> None:
     for rank, limit in enumerate(steps):
         path = run.folder / f"{rank}.monitor.csv"
         if path.is_file():
-            ends = pd.read_csv(path, comment="#")["l"].cumsum()
+            with refused(f"{path} is damaged"):
+                ends = pd.read_csv(path, comment="#")["l"].cumsum()
             kept = path.read_bytes().splitlines(keepends=True)[: 2 + int((ends <= limit).sum())]
             os.truncate(path, sum(map(len, kept)))  # the open file appends
 

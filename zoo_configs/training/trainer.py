@@ -66,7 +66,8 @@ class Trainer:
         try:
             with refused(f"{run.experiment.algo} cannot be built for {run.experiment.env_id}"):
                 self.callbacks = [*self._callbacks(), *more_callbacks]
-                n_envs, is_new = self.hyperparams.get("n_envs", 1), checkpoint is None
+                n_envs = self.hyperparams.get("n_envs", 1)
+                is_new = len(list(run.folder.glob("*.monitor.csv"))) < n_envs  # or none were copied
                 env = self._build_env(n_envs, monitor_dir=run.folder, override_existing=is_new)
                 self.model = self._model(env)
         except BaseException:
