@@ -13,7 +13,7 @@ from sb3_extensions.common.env_metadata import constructor_arguments
 from zoo_configs.algorithms import ALGORITHMS, algorithm_classes
 from zoo_configs.arguments import check_device
 from zoo_configs.environments import known_env_id, register_environments
-from zoo_configs.errors import CommandError, refused, unknown_name
+from zoo_configs.errors import CommandError, check_names, refused
 from zoo_configs.publishing.published import Card, find_published
 from zoo_configs.training.runs import RESOLVED_FILE, Run, find_runs, load_run
 
@@ -183,8 +183,7 @@ def load_model(
 ) -> BaseAlgorithm:
     """Load a model file without a replay buffer, by default only for acting."""
     algorithms = algorithm_classes()
-    if algo not in algorithms:
-        raise unknown_name("algorithm", algo, algorithms)
+    check_names("algorithm", [algo], algorithms)
     if not path.is_file():
         raise CommandError(f"{path} does not exist")
     # An agent needs no replay buffer. SB3's allocate memory, and HerReplayBuffer needs an environment.

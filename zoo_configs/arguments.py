@@ -41,7 +41,7 @@ def _key_value(flag: str, pair: str) -> tuple[str, Any]:
         raise CommandError(f"{flag} must be key:value ..., got {pair!r}")
     try:
         return key, parse_yaml(text)
-    except yaml.YAMLError as error:
+    except (ValueError, yaml.YAMLError) as error:
         raise CommandError(
             f"{flag} must be key:value with a YAML value, got {pair!r}: {reason(error)}"
         ) from error

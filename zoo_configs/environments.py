@@ -55,12 +55,6 @@ def tried_env(env_id: str, env_kwargs: Mapping[str, Any]) -> Iterator[gym.Env[An
         yield env
 
 
-def try_env(env_id: str, env_kwargs: Mapping[str, Any]) -> None:
-    """Raise ``CommandError`` if an environment rejects its parameters or cannot be reset."""
-    with tried_env(env_id, env_kwargs):
-        pass
-
-
 def load_expert_data(hyperparams: Mapping[str, Any]) -> dict[str, Any]:
     """Return hyperparameters with the episodes of a file for its path; raise ``CommandError`` on failure."""
     path = hyperparams.get("expert_data")

@@ -13,7 +13,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from tqdm import tqdm
 
 from zoo_configs.agents import Agent
-from zoo_configs.environments import SeedStream, stream_seed, try_env
+from zoo_configs.environments import SeedStream, stream_seed, tried_env
 from zoo_configs.errors import CommandError, refused
 from zoo_configs.training.objects import build_vec_env
 
@@ -64,7 +64,8 @@ class Outcome(NamedTuple):
 def build_test_env(agent: Agent, options: EvalOptions) -> VecEnv:
     """Build the environments of an agent as in its training; raise ``CommandError`` on failure."""
     env_kwargs = {**agent.env_kwargs, **options.env_kwargs}
-    try_env(agent.env_id, env_kwargs)
+    with tried_env(agent.env_id, env_kwargs):
+        pass
     statistics = None if agent.run is None else agent.run.statistics_file
     if agent.hyperparams.get("normalize") and statistics is not None and not statistics.is_file():
         raise CommandError(f"{statistics} is missing: {agent.path} was trained with it")

@@ -63,7 +63,7 @@ def print_written(*paths: Path) -> None:
 SCALARS = {
     "null": (r"~|null|Null|NULL|None|", "~nN"),
     "bool": (r"true|True|TRUE|false|False|FALSE", "tTfF"),
-    "int": (r"[-+]?[0-9]+", "-+0123456789"),
+    "int": (r"[-+]?[0-9]+(_[0-9]+)*", "-+0123456789"),  # 1_000 in files of rl_zoo3
     "float": (
         r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)",
         "-+0123456789.",
@@ -86,6 +86,9 @@ class Loader(yaml.SafeLoader):
             where = node.start_mark
             raise ConstructorError(None, None, f"each key must be there once, got {', '.join(twice)}", where)
         return node
+
+
+Loader.add_constructor("tag:yaml.org,2002:int", lambda _, node: int(node.value))  # 010 is 10, not octal
 
 
 class Dumper(yaml.SafeDumper):

@@ -14,14 +14,16 @@ from bulletarm_gym.benchmarks import BENCHMARKS
 from bulletarm_gym.config import Context, EnvConfig
 from bulletarm_gym.registry import TASKS
 from sb3_extensions.encoders.cnn import plan_stages
+from zoo_configs.algorithms import OTHERS
 from zoo_configs.cli import main
 from zoo_configs.errors import CommandError
 from zoo_configs.experiments.config import ExperimentConfig, explained_yaml, merge, resolve
 from zoo_configs.experiments.families import families, parse_family
 from zoo_configs.experiments.flags import find_experiment
 from zoo_configs.experiments.validation import check_experiment
-from zoo_configs.files import Dumper, format_yaml, parse_yaml
+from zoo_configs.files import Dumper, format_yaml, parse_yaml, read_yaml
 from zoo_configs.parsers import parse_train
+from zoo_configs.training.objects import EVALUATED, parsed
 
 GOLDEN_FILE = Path(__file__).with_name("golden_experiments.yml")
 WRITE = "WRITE_GOLDEN_EXPERIMENTS"
@@ -220,7 +222,16 @@ def test_stock_algorithms_have_a_policy_for_our_observations(algo):
         assert experiment_of(f"--algo {algo} --env {more}").hyperparams["policy"] == policy
 
 
+def test_files_of_rl_zoo3_are_valid():
+    for path in Path(pytest.importorskip("rl_zoo3").__file__).parent.glob("hyperparams/*.yml"):
+        sections = read_yaml(path)
+        if path.stem in OTHERS and "CartPole-v1" in sections:
+            check_experiment(experiment_of(f"--algo {path.stem} --env CartPole-v1 --conf-file {path}"))
+        for values in sections.values():
+            parsed({key: value for key, value in values.items() if key in EVALUATED})
+
+
 def test_values_are_yaml_of_version_1_2():
-    line = "--algo ppo --env Pendulum-v1 -params a:1e-3 b:no c:12:30 d:[1,x] e:None f:true"
-    values = {"a": 0.001, "b": "no", "c": "12:30", "d": [1, "x"], "e": None, "f": True}
+    line = "--algo ppo --env Pendulum-v1 -params a:1e-3 b:no c:12:30 d:[1,x] e:None f:[010,1_000]"
+    values = {"a": 0.001, "b": "no", "c": "12:30", "d": [1, "x"], "e": None, "f": [10, 1000]}
     assert experiment_of(f"{line} --env-kwargs g:panda").overrides == {**values, "env_kwargs": {"g": "panda"}}

@@ -243,6 +243,7 @@ def test_only_the_folder_of_an_agent_is_replaced(pushed, run_folder, tmp_path, r
     (link := tmp_path / "link").symlink_to(folder)
     assert main(["push", str(run_folder), "--folder", str(link), "-n", "2", "--device", "cpu"]) == 0
     assert link.is_symlink() and read_card(folder).episodes == 2
+    assert "'foo'" in refuse("push", str(run_folder), "--folder", "new/agent", "--env-kwargs", "foo:1")
     assert "working directory" in refuse("push", str(run_folder), "--folder", ".")
     assert "an agent" in refuse("push", str(run_folder), "--folder", str(run_folder))
     shutil.copytree(run_folder, copy := tmp_path / "run")

@@ -5,6 +5,7 @@ import io
 import os
 import sys
 import textwrap
+import threading
 from pathlib import Path
 
 import gymnasium as gym
@@ -59,14 +60,13 @@ class Stop(BaseCallback):
 def train(toy_id, tmp_path):
     """Trains the toy: ``train(*callbacks, at=..., seed=..., gamma=..., option=...)`` returns the run."""
 
-    def run(*callbacks, at=None, seed=0, **changes):
+    def run(*callbacks, at=None, seed=0, progress=False, **changes):
         options = {name: changes.pop(name) for name in list(changes) if name in SHORT}
         experiment = resolve("sacfd", "quick", toy_id, {**TINY["hyperparams"], **changes})
         chosen = TrainingOptions.of(experiment, {**SHORT, **options})
         folder = None if at is None else tmp_path / at
-        return train_experiment(
-            experiment, seed, "cpu", tmp_path, options=chosen, at=folder, callbacks=callbacks
-        )
+        more = {"options": chosen, "at": folder, "callbacks": callbacks, "progress": progress}
+        return train_experiment(experiment, seed, "cpu", tmp_path, **more)
 
     return run
 
@@ -113,7 +113,8 @@ def test_a_run_that_was_killed_at_its_very_end_is_done(train):
 
 def test_an_early_failure_leaves_no_folder_and_ctrl_c_a_model(train, tmp_path):
     with pytest.raises(RuntimeError):
-        train(Stop(1, RuntimeError("early")), eval_freq=0, save_freq=0)
+        train(Stop(1, RuntimeError("early")), eval_freq=0, save_freq=0, progress=True)
+    assert "_RefreshThread" not in {type(thread).__name__ for thread in threading.enumerate()}  # of the bar
     assert not (tmp_path / "sacfd").exists()
     with pytest.raises(TrainingInterrupted) as stop:
         train(Stop(8, KeyboardInterrupt()))
@@ -276,7 +277,7 @@ def test_an_agent_with_hindsight_replay_acts(tmp_path):
         "policy": "MultiInputPolicy",
         "env_kwargs": {"observation": "state", "max_steps": 4},
         "env_wrapper": "bulletarm_gym.wrappers.GoalObservation",
-        "replay_buffer_class": "stable_baselines3.HerReplayBuffer",
+        "replay_buffer_class": "HerReplayBuffer",  # as in files of rl_zoo3
     }
     (file := tmp_path / "her.yml").write_text(yaml.safe_dump({"default": config}))
     words = ["--algo", "sac", "--env", REACHING, "--conf-file", str(file), "--eval-freq", "0"]

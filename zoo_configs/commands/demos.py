@@ -5,7 +5,7 @@ from statistics import fmean
 
 from bulletarm_gym.demonstrations import collect
 from zoo_configs.arguments import check_device
-from zoo_configs.environments import known_env_id, register_environments, try_env
+from zoo_configs.environments import known_env_id, register_environments, tried_env
 from zoo_configs.errors import CommandError, refused
 from zoo_configs.files import check_writable, print_written
 
@@ -19,7 +19,8 @@ def main(args: argparse.Namespace) -> None:
     check_writable(path, "--output")
     if path.exists():
         raise CommandError(f"--output must be a new file, got {path}, which exists")
-    try_env(env_id, args.env_kwargs)
+    with tried_env(env_id, args.env_kwargs):
+        pass
     settings = {"seed": args.seed, "env_kwargs": args.env_kwargs, "path": path, "progress": args.progress}
     with refused(f"{env_id}: no demonstrations", (RuntimeError, ValueError)):
         found = collect(env_id, args.episodes, args.planner, **settings)

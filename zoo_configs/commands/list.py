@@ -42,8 +42,11 @@ def _list_environments() -> None:
 def _list_parameters(env_id: str) -> None:
     with closing(make_env(env_id, {})) as env:
         print(f"{env_id}\nobservation: {env.observation_space}\naction: {env.action_space}\n")
-        rows = [[name, repr(value)] for name, value in _parameters(env).items()]
-    print_table(["parameter", "default"], rows, wrap=True)
+        config: Any = getattr(env.unwrapped, "config", None)
+    if config is not None:  # an environment of this package
+        recipe = {name: gym.spec(env_id).kwargs.get(name) for name in ("control", "surface")}
+        rows = [[name, repr(value)] for name, value in {**recipe, **config.parameters()}.items()]
+        print_table(["parameter", "default"], rows, wrap=True)
 
 
 def _list_baselines() -> None:
@@ -81,11 +84,3 @@ def _list_published() -> None:
         rows.append([card.env, card.label, card.preset or "", *figures, parameters])
     heads = ["environment", "baseline", "preset", "success", "95 % interval", "episodes", "parameters"]
     print_table(heads, rows)
-
-
-def _parameters(env: gym.Env[Any, Any]) -> dict[str, Any]:
-    """Return the parameters of one of our environments, with control and surface."""
-    config: Any = getattr(env.unwrapped, "config", None)
-    spec = env.spec.kwargs if env.spec is not None else {}
-    recipe = {name: spec.get(name) for name in ("control", "surface")}
-    return {**recipe, **config.parameters()} if config is not None else {}

@@ -1,8 +1,6 @@
 """``bulletarm-zoo push``: uploads a trained agent to the Hugging Face hub, or writes it to a folder."""
 
 import argparse
-import os
-import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -14,7 +12,7 @@ from zoo_configs.drawing.video import write_video
 from zoo_configs.environments import register_environments
 from zoo_configs.errors import CommandError, refused
 from zoo_configs.evaluating import EvalOptions
-from zoo_configs.files import check_writable, print_written
+from zoo_configs.files import check_writable, made_folder, print_written
 from zoo_configs.publishing.packing import check_publishable, pack
 from zoo_configs.publishing.published import CARD_FILE, PAGE_FILE
 from zoo_configs.recording import agent_actor, record
@@ -85,11 +83,11 @@ def _check_replaceable(folder: Path) -> None:
 @contextmanager
 def _whole_folder(folder: Path) -> Iterator[Path]:
     """Provide a temporary folder that replaces ``folder`` if the block succeeds, and is removed otherwise."""
-    folder.absolute().parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.absolute().parent) as scratch:
+    prefix, parent = f".{folder.name}-", folder.parent
+    with made_folder(parent), tempfile.TemporaryDirectory(prefix=prefix, dir=parent) as scratch:
         partial = Path(scratch) / "new"
         partial.mkdir()
         yield partial
         if folder.exists():
-            os.replace(folder, Path(scratch) / "old")
-        shutil.move(partial, folder)
+            folder.rename(Path(scratch) / "old")
+        partial.rename(folder)

@@ -7,7 +7,7 @@ from typing import Any
 from zoo_configs.algorithms import ALGORITHMS, OTHERS, algorithm_classes
 from zoo_configs.arguments import add_env_kwargs, add_key_values
 from zoo_configs.environments import known_env_id, package_of
-from zoo_configs.errors import CommandError, unknown_name
+from zoo_configs.errors import CommandError, check_names
 from zoo_configs.experiments.config import ExperimentConfig, merge, resolve
 from zoo_configs.experiments.families import Layer, families
 from zoo_configs.files import read_yaml
@@ -99,8 +99,7 @@ def _default_experiment(algo: str, env_id: str, overrides: dict[str, Any]) -> Ex
     """Return an experiment with an algorithm's own defaults, and a policy for our observations."""
     if algo in ALGORITHMS:
         raise CommandError(f"no baseline of {algo} for {env_id}. Use --baseline or --conf-file.")
-    if algo not in OTHERS:
-        raise unknown_name("algorithm", algo, [*ALGORITHMS, *OTHERS])
+    check_names("algorithm", [algo], [*ALGORITHMS, *OTHERS])
     policy = POLICIES.get(algo, "MlpPolicy")
     hyperparams: dict[str, Any] = {"n_timesteps": DEFAULT_TIMESTEPS, "policy": policy}
     if any(family.has_env(env_id) for family in families()) and "policy" not in overrides:

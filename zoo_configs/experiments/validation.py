@@ -155,11 +155,11 @@ def _check_policy_kwargs(policy: Any, policy_kwargs: Any) -> None:
 
 def _check_replay_buffer(algorithm: type[Any], hyperparams: Mapping[str, Any]) -> None:
     """Check the names of arguments of a named buffer, or of the algorithm's own."""
-    path, kwargs = hyperparams.get("replay_buffer_class"), hyperparams.get("replay_buffer_kwargs", {})
-    buffer = getattr(algorithm, "default_replay_buffer_class", None)
-    if isinstance(path, str):
-        buffer = _imported("replay buffer", path)
-    if buffer is not None and isinstance(kwargs, Mapping):
+    with refused("the replay buffer cannot be imported"):
+        values = parsed({key: item for key, item in hyperparams.items() if key.startswith("replay_buffer")})
+    buffer = values.get("replay_buffer_class") or getattr(algorithm, "default_replay_buffer_class", None)
+    kwargs = values.get("replay_buffer_kwargs", {})
+    if isinstance(buffer, type) and isinstance(kwargs, Mapping):
         valid = constructor_arguments(buffer).keys() - set(getattr(algorithm, "own_buffer_arguments", ()))
         check_names(f"replay_buffer_kwargs of {buffer.__name__}", kwargs, valid)
         with refused("replay_buffer_kwargs"):

@@ -9,9 +9,11 @@ import gymnasium as gym
 import numpy as np
 import torch as th
 from gymnasium import spaces
+from stable_baselines3 import HerReplayBuffer
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.noise import ActionNoise, NormalActionNoise, OrnsteinUhlenbeckActionNoise
+from stable_baselines3.common.sb2_compat.rmsprop_tf_like import RMSpropTFLike
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv, VecFrameStack, VecNormalize
 
 from zoo_configs.algorithms import class_from_path
@@ -30,7 +32,8 @@ EVALUATED = (
     *("rollout_buffer_class", "rollout_buffer_kwargs"),
 )
 """Hyperparameters that rl_zoo3's files write as Python expressions, such as ``dict(net_arch=[64])``."""
-NAMES = {"__builtins__": {}, "dict": dict, "nn": th.nn, "th": th}
+NAMES: dict[str, Any] = {"__builtins__": {}, "dict": dict, "nn": th.nn, "th": th}
+NAMES |= {"HerReplayBuffer": HerReplayBuffer, "RMSpropTFLike": RMSpropTFLike}
 """Names that such an expression can use."""
 DOTTED_PATH = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)+")
 NOISES: dict[str, Any] = {"normal": NormalActionNoise, "ornstein-uhlenbeck": OrnsteinUhlenbeckActionNoise}

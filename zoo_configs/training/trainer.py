@@ -37,7 +37,7 @@ class TrainingBar(ProgressBarCallback):
         self.pbar = tqdm(total=left, options=options)
 
     def close(self) -> None:
-        """Remove the bar after an interruption."""
+        """End the bar, also after an error."""
         if hasattr(self, "pbar"):
             self.pbar.close()
 
@@ -62,6 +62,7 @@ class Trainer:
         self.options, self.hyperparams = run.options, run.experiment.hyperparams
         self.algorithm = algorithm_classes()[run.experiment.algo]
         self.verbose = 0 if progress and self.options.verbose == 1 else self.options.verbose
+        self.callbacks: list[BaseCallback] = []
         self.envs: list[VecEnv] = []
         try:
             with refused(f"{run.experiment.algo} cannot be built for {run.experiment.env_id}"):
@@ -88,9 +89,6 @@ class Trainer:
             if self.options.save_freq:
                 save_checkpoint(self.model, self.run.checkpoint_folder)
         except KeyboardInterrupt:
-            for callback in self.callbacks:
-                if isinstance(callback, TrainingBar):
-                    callback.close()
             return False
         except REJECTIONS as error:
             if getattr(self.model, "_n_updates", 0) > updates:
@@ -101,7 +99,10 @@ class Trainer:
         return True
 
     def close(self) -> None:
-        """Close all environments."""
+        """Close the progress bar and all environments."""
+        for callback in self.callbacks:
+            if isinstance(callback, TrainingBar):
+                callback.close()
         for env in self.envs:
             with contextlib.suppress(EOFError, BrokenPipeError):  # Ctrl-C has ended a worker process
                 env.close()

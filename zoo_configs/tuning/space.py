@@ -1,6 +1,5 @@
 """Search spaces: the hyperparameters that a study changes, and their values."""
 
-import functools
 import inspect
 import json
 import math
@@ -18,6 +17,7 @@ from zoo_configs.experiments.validation import check_experiment, valid_hyperpara
 from zoo_configs.files import read_yaml
 from zoo_configs.training.objects import SCHEDULE
 
+SPACES = Path(__file__).resolve().parents[1] / "hyperparams" / "spaces" / "algorithms.yml"
 KEYS = ("low", "high", "log", "choices", "needs")
 BASELINE = "baseline"
 """Attribute of the trial that trains the baseline itself."""
@@ -74,13 +74,13 @@ def load_space(
         nothing is left to search
     """
     algo = experiment.algo
-    if path is None and algo not in _shipped_spaces():
-        raise CommandError(f"no search space for {algo}. Use --space.")
-    if path is None:
-        space = parse_space(f"the space of {algo}", _shipped_spaces()[algo])
+    if path is not None:
+        space = parse_space(str(path), read_yaml(path, "--space"))
+    elif algo in (shipped := read_yaml(SPACES)):
+        space = parse_space(f"the space of {algo}", shipped[algo])
         space = [parameter for parameter in space if _root(parameter.name) not in given]
     else:
-        space = parse_space(str(path), read_yaml(path, "--space"))
+        raise CommandError(f"no search space for {algo}. Use --space.")
     valid = valid_hyperparams(algorithm_classes()[algo]) - {"n_timesteps"}  # those of a trial are an option
     check_names(f"hyperparameter of {algo} in the search space", (_root(item.name) for item in space), valid)
     used = [item for item in space if not item.needs or baseline_value(item.needs, experiment)]
@@ -100,12 +100,6 @@ def _check_values(space: Iterable[Parameter], experiment: ExperimentConfig) -> N
     for parameter, several in values:
         for value in several:
             check_experiment(experiment.overridden(_nested(parameter, value, experiment)))
-
-
-@functools.cache
-def _shipped_spaces() -> dict[str, Any]:
-    folder = Path(__file__).resolve().parents[1] / "hyperparams" / "spaces"
-    return dict(read_yaml(folder / "algorithms.yml"))
 
 
 def parse_space(where: str, data: Any) -> list[Parameter]:
