@@ -150,12 +150,14 @@ def _agent_of_run(run: Run, path: Path, device: str) -> Agent:
 
 
 def _agent_of_file(path: Path, query: AgentQuery) -> Agent:
-    """Load a model file, with the environment of its run or of ``--env``."""
-    if (path.parent / RESOLVED_FILE).is_file() and query.env is None:
-        _check_unused(query, "the model of a run, unless --env is passed", "algo")
-        run = load_run(path.parent)
-        register_run(run)
-        return _agent_of_run(run, path, query.device)
+    """Load a model file, with the environment of its run or another one of ``--env``."""
+    if (path.parent / RESOLVED_FILE).is_file():
+        run, env_id = load_run(path.parent), (query.env or "").rpartition(":")[2]
+        if not env_id:
+            _check_unused(query, "the model of a run, unless --env is passed", "algo")
+        if env_id in ("", run.experiment.env_id) and query.algo in (None, run.experiment.algo):
+            register_run(run)
+            return _agent_of_run(run, path, query.device)
     if query.env is None:
         raise CommandError(f"pass --env with {path}: a model file does not contain the environment id")
     env_id, algo = known_env_id(query.env), query.algo or algorithm_of(path)

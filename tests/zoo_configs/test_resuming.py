@@ -16,7 +16,7 @@ from sweeps import PATH, RUN_NAME, TINY, TUNED, jobs_of, same, study_of
 
 from bulletarm_gym.demonstrations import collect
 from sb3_extensions.sacfd import SACfD
-from zoo_configs.agents import algorithm_of
+from zoo_configs.agents import AgentQuery, algorithm_of, find_agent
 from zoo_configs.algorithms import algorithm_classes
 from zoo_configs.cli import main
 from zoo_configs.publishing.published import read_card
@@ -107,6 +107,12 @@ def test_a_run_without_a_model_is_skipped(trained, toy_id, tmp_path, capsys, ref
     assert line.startswith("skipped: ") and str(garbled) in line
     shutil.rmtree(garbled)
     assert "has no model" in refuse("enjoy", str(killed))
+
+
+def test_a_model_file_has_the_parameters_of_its_run(run_folder, toy_id):
+    for env in None, toy_id, f"toy_env:{toy_id}":
+        query = AgentQuery(run_folder / "best_model.zip", env, device="cpu")
+        assert find_agent(query).env_kwargs["obs_size"] == 48
 
 
 def test_a_damaged_model_another_algorithm_and_other_observations_are_named(run_folder, tmp_path, refuse):

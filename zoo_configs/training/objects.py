@@ -135,11 +135,12 @@ def build_vec_env(
     monitor_kwargs = {**(values.get("monitor_kwargs") or {}), "override_existing": override_existing}
     if "info_keywords" in monitor_kwargs:  # Monitor requires a tuple
         monitor_kwargs["info_keywords"] = tuple(monitor_kwargs["info_keywords"])
-    spec = gym.spec(env_id)  # worker processes need not have registered the id
+    # Worker processes need not have registered the id.
+    spec, wrappers = gym.spec(env_id), values.get("env_wrapper")
 
     def make(**kwargs: Any) -> Any:
         # Below the monitor, which otherwise does not count episodes that a wrapper ends.
-        return wrapped(spec.make(**kwargs), values.get("env_wrapper"))
+        return wrapped(spec.make(**kwargs), wrappers)
 
     env = make_vec_env(
         make,
