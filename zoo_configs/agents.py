@@ -74,8 +74,8 @@ class AgentQuery:
 
 def query_of(args: argparse.Namespace) -> AgentQuery:
     """Return the query that the flags of an agent describe."""
-    names = [item.name for item in fields(AgentQuery) if hasattr(args, item.name)]
-    return AgentQuery(**{name: getattr(args, name) for name in names})
+    names = {item.name for item in fields(AgentQuery)}
+    return AgentQuery(**{name: value for name, value in vars(args).items() if name in names})
 
 
 def find_agent(query: AgentQuery) -> Agent:
@@ -166,8 +166,8 @@ def _agent_of_file(path: Path, query: AgentQuery) -> Agent:
 
 def algorithm_of(path: Path) -> str:
     """Return an algorithm that can load a model file, by the policy class and the arguments in the file."""
-    with refused(f"{path} cannot be read as a model of Stable-Baselines3"):
-        data, _, _ = load_from_zip_file(path, device="cpu", custom_objects=UNUSED_OBJECTS)
+    with refused(f"{path} cannot be read as a model of Stable-Baselines3"), path.open("rb") as file:
+        data, _, _ = load_from_zip_file(file, device="cpu", custom_objects=UNUSED_OBJECTS)
         assert data is not None, "it contains no data"
     policy = data.get("policy_class")
     scores = {

@@ -106,6 +106,7 @@ verify --published ""                                             => published a
 enjoy nowhere                                                     => nowhere
 enjoy nowhere --env TOY --preset cpu                              => --env, --preset
 enjoy none.zip --env TOY --baseline sac --load-last               => --baseline, --load-last
+enjoy none.zip --env TOY                                          => none.zip: No such
 enjoy none.zip --env TOY --algo sac                               => none.zip
 enjoy damaged.zip --env Pendulum-v1                               => damaged.zip
 enjoy --env TOY --baseline tqc                                    => tqc

@@ -6,18 +6,15 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
-import numpy as np
 import torch as th
-from gymnasium import spaces
 from stable_baselines3 import HerReplayBuffer
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.env_util import make_vec_env
-from stable_baselines3.common.noise import ActionNoise, NormalActionNoise, OrnsteinUhlenbeckActionNoise
+from stable_baselines3.common.noise import NormalActionNoise, OrnsteinUhlenbeckActionNoise
 from stable_baselines3.common.sb2_compat.rmsprop_tf_like import RMSpropTFLike
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv, VecFrameStack, VecNormalize
 
 from zoo_configs.algorithms import class_from_path
-from zoo_configs.errors import check_names
 
 TRAINER_KEYS = (
     *("env_kwargs", "env_wrapper", "frame_stack", "monitor_kwargs", "normalize", "vec_env_wrapper"),
@@ -101,14 +98,6 @@ def described_classes(description: Any) -> list[tuple[type[Any], dict[str, Any]]
         raise ValueError(f"an entry must be one class, or one class with arguments, got {wrong[0]}")
     pairs = [next(iter(entry.items())) if isinstance(entry, dict) else (entry, {}) for entry in entries]
     return [(class_from_path(path), dict(kwargs or {})) for path, kwargs in pairs]
-
-
-def action_noise(noise_type: str, std: float, action_space: spaces.Space[Any]) -> ActionNoise:
-    """Return the noise of ``noise_type`` (normal or ornstein-uhlenbeck) and ``noise_std``."""
-    check_names("noise_type", [noise_type], NOISES)
-    ones = np.ones(action_space.shape or ())
-    noise: ActionNoise = NOISES[noise_type](mean=0 * ones, sigma=std * ones)
-    return noise
 
 
 def build_vec_env(

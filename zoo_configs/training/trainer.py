@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback, ProgressBarCallback
@@ -20,7 +21,7 @@ from zoo_configs.errors import CommandError, reason, refused
 from zoo_configs.experiments.validation import policy_class
 from zoo_configs.training.certificate import Certificate
 from zoo_configs.training.evaluation import PeriodicEvaluation, TrainingLog
-from zoo_configs.training.objects import TRAINER_KEYS, action_noise, build_vec_env, described_classes, parsed
+from zoo_configs.training.objects import NOISES, TRAINER_KEYS, build_vec_env, described_classes, parsed
 from zoo_configs.training.runs import Run, cut_monitor_files, env_folder_name
 
 REJECTIONS = (AssertionError, MemoryError, RuntimeError, TypeError, ValueError)
@@ -160,7 +161,9 @@ class Trainer:
         if (episodes := values.get("expert_data")) is not None:
             episodes.env_id = self.run.experiment.env_id  # checked, or allowed to differ
         if values.get("noise_type") is not None:
-            values["action_noise"] = action_noise(values["noise_type"], values["noise_std"], env.action_space)
+            ones = np.ones(env.action_space.shape or ())
+            noise = NOISES[values["noise_type"]]
+            values["action_noise"] = noise(mean=0 * ones, sigma=values["noise_std"] * ones)
         return {
             **{key: value for key, value in values.items() if key not in TRAINER_KEYS},
             "seed": self.run.seed,
