@@ -12,13 +12,15 @@ import numpy as np
 import pytest
 import torch as th
 import yaml
+from sb3_contrib import RecurrentPPO
 from scipy import stats
 from stable_baselines3 import SAC
 from torch import nn
 
 from sb3_extensions.ferm import FERM
 from sb3_extensions.sacfd import SACfD
-from zoo_configs.agents import AgentQuery, find_agent
+from zoo_configs import recording
+from zoo_configs.agents import Agent, AgentQuery, find_agent
 from zoo_configs.cli import main
 from zoo_configs.evaluating import EvalOptions, Outcome, evaluate_agent
 from zoo_configs.experiments.families import task_name
@@ -272,3 +274,13 @@ def test_a_hub_that_cannot_be_used_is_one_line(run_folder, refuse, hub, monkeypa
     monkeypatch.setattr(hub, "reachable", False)
     assert "Hugging Face" in refuse(*words, "arms")
     assert not hub.uploaded
+
+
+def test_a_recorded_agent_keeps_the_state_of_its_policy(monkeypatch):
+    monkeypatch.setattr(recording, "_make", lambda env_id, kwargs: gym.make(env_id, **kwargs))
+    env = gym.make("Pendulum-v1")
+    agent = Agent(RecurrentPPO("MlpLstmPolicy", env, n_steps=8, batch_size=8), Path(), "", "Pendulum-v1")
+    act, (seen, _) = recording.agent_actor(agent, {}).act, env.reset(seed=0)
+    _, first = act(seen, None)
+    _, second = act(seen, first)
+    assert not np.array_equal(first[0], second[0])

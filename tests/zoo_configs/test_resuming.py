@@ -21,7 +21,7 @@ from zoo_configs.algorithms import algorithm_classes
 from zoo_configs.cli import main
 from zoo_configs.publishing.published import read_card
 from zoo_configs.training import options
-from zoo_configs.training.runs import load_run
+from zoo_configs.training.runs import find_runs, load_run
 from zoo_configs.training.state import State, run_status
 from zoo_configs.training.train import train_run
 from zoo_configs.tuning.study import counted
@@ -300,3 +300,18 @@ def test_mistakes_are_one_line(run_folder, tmp_path, refuse):
     assert "RUN_FOLDER" in refuse("verify")
     assert "--baseline" in refuse("verify", str(run_folder), "--baseline", "sacfd")
     assert "'-1'" in refuse("verify", str(run_folder), "--updates", "-1")
+
+
+def test_an_agent_with_hindsight_replay_acts(tmp_path):
+    config = {
+        "n_timesteps": 8,
+        "policy": "MultiInputPolicy",
+        "env_kwargs": {"observation": "state", "max_steps": 4},
+        "env_wrapper": "bulletarm_gym.wrappers.GoalObservation",
+        "replay_buffer_class": "HerReplayBuffer",  # as in files of rl_zoo3
+    }
+    (file := tmp_path / "her.yml").write_text(yaml.safe_dump({"default": config}))
+    words = ["--algo", "sac", "--env", "BulletArm/CloseLoopBlockReaching-v0", "--conf-file", str(file)]
+    assert main(["train", *words, "--eval-freq", "0", "-f", str(tmp_path), "--no-progress"]) == 0
+    [run] = find_runs(tmp_path)
+    assert main(["enjoy", str(run.folder), "-n", "1", "--no-progress"]) == 0

@@ -15,15 +15,12 @@ import pandas as pd
 import pytest
 import torch as th
 import yaml
-from sb3_contrib import RecurrentPPO
 from stable_baselines3.common.callbacks import BaseCallback
 from sweeps import TINY, TUNED, same
 from toy_env import TOY_ID
 
 from bulletarm_gym.benchmarks import BENCHMARKS
 from measure_updates import make_model
-from zoo_configs import recording
-from zoo_configs.agents import Agent
 from zoo_configs.algorithms import algorithm_classes
 from zoo_configs.cli import main
 from zoo_configs.drawing.curves import read_training_log
@@ -259,31 +256,6 @@ def test_a_stock_algorithm_trains(algo, env_id, parameters, toy_id, tmp_path, ca
     for path in run.folder.glob("*.monitor.csv"):  # a copied folder need not have them
         path.unlink()
     assert main(["train", "--resume", str(run.folder), "-n", "16", "--no-progress"]) == 0
-
-
-def test_a_recorded_agent_keeps_the_state_of_its_policy(monkeypatch):
-    monkeypatch.setattr(recording, "_make", lambda env_id, kwargs: gym.make(env_id, **kwargs))
-    env = gym.make("Pendulum-v1")
-    agent = Agent(RecurrentPPO("MlpLstmPolicy", env, n_steps=8, batch_size=8), Path(), "", "Pendulum-v1")
-    act, (seen, _) = recording.agent_actor(agent, {}).act, env.reset(seed=0)
-    _, first = act(seen, None)
-    _, second = act(seen, first)
-    assert not np.array_equal(first[0], second[0])
-
-
-def test_an_agent_with_hindsight_replay_acts(tmp_path):
-    config = {
-        "n_timesteps": 8,
-        "policy": "MultiInputPolicy",
-        "env_kwargs": {"observation": "state", "max_steps": 4},
-        "env_wrapper": "bulletarm_gym.wrappers.GoalObservation",
-        "replay_buffer_class": "HerReplayBuffer",  # as in files of rl_zoo3
-    }
-    (file := tmp_path / "her.yml").write_text(yaml.safe_dump({"default": config}))
-    words = ["--algo", "sac", "--env", REACHING, "--conf-file", str(file), "--eval-freq", "0"]
-    assert main(["train", *words, "-f", str(tmp_path), "--no-progress"]) == 0
-    [run] = find_runs(tmp_path)
-    assert main(["enjoy", str(run.folder), "-n", "1", "--no-progress"]) == 0
 
 
 MODULE, OWN_ID = "my_own_tasks", "BulletArm/CloseLoopOwnReaching-v0"
