@@ -20,7 +20,7 @@ from sb3_extensions.demonstrations.collection import collect_episodes
 from sb3_extensions.demonstrations.dagger import DaggerCallback
 from sb3_extensions.demonstrations.episodes import Episode
 from sb3_extensions.demonstrations.expert_envs import make_expert_envs
-from sb3_extensions.demonstrations.source import load_episodes
+from sb3_extensions.demonstrations.validation import load_episodes
 from sb3_extensions.sacfd import SACfD
 
 
