@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import torch as th
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.noise import VectorizedActionNoise
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import MaybeCallback, RolloutReturn, TrainFreq, TrainFrequencyUnit
@@ -212,6 +213,9 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
                 "expert_data must be set after load(), got None: a model does not store its "
                 "demonstrations. Set model.expert_data, or load the replay buffer"
             )
+        # The noise of a loaded model has its former number of environments.
+        if isinstance(self.action_noise, VectorizedActionNoise):
+            self.action_noise = self.action_noise.base_noise
         return super()._setup_learn(*args, **kwargs)
 
     def collect_rollouts(
