@@ -12,6 +12,7 @@ import argparse
 import statistics
 import time
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +22,8 @@ from tqdm import tqdm
 from bulletarm_gym.check.machine import load_average
 from bulletarm_gym.demonstrations import collect
 from measurements import Row, keep, number, provenance, show, words
-from sb3_extensions.demonstrations.action_transforms import GridSnapping
 from sb3_extensions.encoders.observation import SceneView
-from sb3_extensions.spatial_dqn.codec import DEFAULT_SEQUENCE, SpatialActionCodec
+from sb3_extensions.spatial_dqn.codec import DEFAULT_SEQUENCE, SpatialActionCodec, snap_to_grid
 from zoo_configs.arguments import Parser, add_env_kwargs, add_packages, positive_int, seed
 from zoo_configs.environments import known_env_id, make_env, our_env_ids, register_environments
 from zoo_configs.experiments.families import task_name
@@ -112,7 +112,7 @@ def grid_snapping(env: Any) -> Any:
     """Return the transformation of actions to the grid over the heightmap."""
     sequence = getattr(getattr(env.unwrapped, "config", None), "action_sequence", DEFAULT_SEQUENCE)
     codec = SpatialActionCodec(SceneView(env.observation_space).size, sequence)
-    return GridSnapping(env.action_space, codec)
+    return partial(snap_to_grid, space=env.action_space, codec=codec)
 
 
 if __name__ == "__main__":

@@ -3,7 +3,8 @@ Checkpoints: directories with algorithm, replay buffer, checksums, and states of
 
 A resumed run equals an uninterrupted one bit for bit on the CPU with a ``DummyVecEnv``. This requires
 environments with ``get_state()`` and ``set_state(state)`` whose state includes the random generator. Other
-environments start a new episode. The state of callbacks is not stored.
+environments start a new episode. The state of callbacks is not stored. Ornstein-Uhlenbeck noise and
+state-dependent exploration start again, as in every ``learn()``.
 """
 
 import json
@@ -25,6 +26,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.type_aliases import GymEnv
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
+from torch.utils._pytree import tree_map_only
 
 from sb3_extensions.common.components import check_integer
 
@@ -49,6 +51,8 @@ VEC_WRAPPER_STATE = (
     "stacked_obs",
 )
 """Attributes of ``VecMonitor``, ``VecNormalize`` and ``VecFrameStack`` that change in an episode."""
+LSTM_STATE = "_last_lstm_states"
+"""Attribute of ``RecurrentPPO`` that its ``save()`` leaves out."""
 
 
 class CheckpointError(ValueError):
@@ -187,6 +191,8 @@ def resume(path: str | os.PathLike[str], env: GymEnv, device: th.device | str = 
             model.load_replay_buffer(checkpoint / REPLAY_BUFFER, truncate_last_traj=False)
     except (pickle.UnpicklingError, EOFError, ImportError, AttributeError, zipfile.BadZipFile) as error:
         raise CheckpointError(f"{checkpoint} cannot be read: {error}") from error
+    if (lstm := state.get("lstm")) is not None:
+        setattr(model, LSTM_STATE, tree_map_only(th.Tensor, lambda values: values.to(model.device), lstm))
     _set_env_state(model, vec_env, state["envs"])
     _set_generator_state(model, state["generators"])  # last, because the calls above can sample numbers
     return model
@@ -197,6 +203,7 @@ def _write_files(model: BaseAlgorithm, directory: Path) -> None:
     env = model.get_env()
     assert env is not None, "You must set the environment before saving a checkpoint"
     state = {"algorithm": type(model), "envs": _env_state(env), "generators": _generator_state(model)}
+    state["lstm"] = tree_map_only(th.Tensor, th.Tensor.cpu, getattr(model, LSTM_STATE, None))
     (directory / STATE).write_bytes(pickle.dumps(state, protocol=pickle.HIGHEST_PROTOCOL))
     model.save(directory / MODEL)
     if isinstance(model, OffPolicyAlgorithm) and model.replay_buffer is not None:

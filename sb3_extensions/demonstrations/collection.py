@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 from tqdm import tqdm
 
 from sb3_extensions.common.observations import as_parts
-from sb3_extensions.demonstrations.action_transforms import ActionTransform
 from sb3_extensions.demonstrations.episodes import Episode
 from sb3_extensions.replay.buffer import SUCCESS
 
 ATTEMPTS_PER_EPISODE = 4
 """Maximum number of attempts for each successful episode. The paper's experts succeed in 9 of 10 attempts."""
 KEEPS_SCENE = "keeps_scene"
+
+Actions = npt.NDArray[Any]
+ActionTransform = Callable[[Actions, np.random.Generator], Actions]
+"""Function from the intended action and a random generator to the executed action (environment's units)."""
 
 
 def collect_episodes(
@@ -79,6 +84,19 @@ def collect_episodes(
             f"the expert succeeded in {successes} of {attempts} episodes of "
             f"{vec_env.get_attr('unwrapped')[0]}, {episodes} needed"
         )
+
+
+def add_noise(action: Actions, rng: np.random.Generator, space: spaces.Box, std: float) -> Actions:
+    """
+    Add Gaussian noise to an expert's action, clipped to the bounds of the action space.
+
+    The intended action is imitated, not the noisy one. Source: DART, https://arxiv.org/abs/1703.09327
+
+    :param std: standard deviation, in half the range of each number of an action
+    """
+    noise = rng.normal(scale=std, size=space.shape) * (space.high - space.low) / 2
+    noisy: Actions = np.clip(action + noise, space.low, space.high)
+    return noisy.astype(space.dtype)
 
 
 def make_progress_bar(total: int, name: str, shown: bool | None, initial: int = 0) -> tqdm[Any]:

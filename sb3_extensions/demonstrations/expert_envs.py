@@ -1,11 +1,14 @@
-"""Environments of the expert: copies of the training environments."""
+"""Demonstrations of the expert in copies of the training environments."""
 
+import contextlib
 import copy
 import dataclasses
+from collections.abc import Iterator
 from itertools import product
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
 from gymnasium import spaces
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import (
@@ -20,6 +23,9 @@ from stable_baselines3.common.vec_env import (
     VecVideoRecorder,
 )
 
+from sb3_extensions.demonstrations.collection import ActionTransform, collect_episodes
+from sb3_extensions.demonstrations.episodes import Episode
+
 AnyEnv = gym.Env[Any, Any]
 
 RECORDERS = {"Monitor", "RecordVideo", "RecordDemonstrations", "DataCollector"}
@@ -27,6 +33,32 @@ RECORDERS = {"Monitor", "RecordVideo", "RecordDemonstrations", "DataCollector"}
 TRANSPARENT = (VecCheckNan, VecMonitor, VecNormalize, VecVideoRecorder)
 """Vector wrappers without an effect on the contents of the replay buffer."""
 INSTEAD = "Pass expert_data=collect_episodes(env, n), with env wrapped as the training environment."
+
+
+def collect_from_copies(
+    vec_env: VecEnv,
+    episodes: int,
+    seed: int | None,
+    progress_bar: bool | None = None,
+    action_transform: ActionTransform | None = None,
+) -> Iterator[Episode]:
+    """
+    Collect successful episodes of the expert in copies of training environments, one at a time.
+
+    Different environments contribute in proportion. See
+    :func:`~sb3_extensions.demonstrations.collection.collect_episodes` for the other parameters and errors.
+
+    :param vec_env: training environments
+    """
+    if not episodes:
+        return
+    expert_envs = make_expert_envs(vec_env)
+    ends = np.cumsum([count for _, count in expert_envs]) * episodes / vec_env.num_envs
+    shares = np.diff(ends.round().astype(int), prepend=0).tolist()
+    for index, ((env, _), share) in enumerate(zip(expert_envs, shares, strict=True)):
+        env_seed = None if seed is None else seed + index
+        with contextlib.closing(env):
+            yield from collect_episodes(env, share, env_seed, progress_bar, action_transform)
 
 
 def make_expert_envs(vec_env: VecEnv) -> list[tuple[VecEnv, int]]:

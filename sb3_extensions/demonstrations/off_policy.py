@@ -1,12 +1,14 @@
 """Base class of off-policy algorithms that learn from demonstrations."""
 
 from collections import defaultdict
+from collections.abc import Iterable
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 import torch as th
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.noise import VectorizedActionNoise
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import MaybeCallback, RolloutReturn, TrainFreq, TrainFrequencyUnit
@@ -14,8 +16,10 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_extensions.common.components import check_fraction, check_integer
 from sb3_extensions.common.env_metadata import action_sequence, with_action_metadata
-from sb3_extensions.demonstrations.collection import make_progress_bar
-from sb3_extensions.demonstrations.source import DemonstrationSource, ExpertData, load_episodes
+from sb3_extensions.demonstrations.collection import ActionTransform, make_progress_bar
+from sb3_extensions.demonstrations.episodes import EpisodeData
+from sb3_extensions.demonstrations.expert_envs import collect_from_copies
+from sb3_extensions.demonstrations.validation import ExpertData, load_episodes, validate_episodes
 from sb3_extensions.encoders.observation import StackedImage
 from sb3_extensions.replay.augmentation import Augmentation
 from sb3_extensions.replay.buffer import ExpertReplayBuffer
@@ -44,7 +48,6 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
 
     replay_buffer: ExpertReplayBuffer | None
     expert_episodes: int
-    expert_noise: float
     expert_data: ExpertData | None
     pretrain_steps: int
     augmentation: Augmentation | None
@@ -60,13 +63,13 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
     """Arguments of the replay buffer that are arguments of the algorithm."""
 
     def _check_demonstrations(self) -> None:
-        source = self._demonstrations()
-        check_integer(0, pretrain_steps=self.pretrain_steps)
+        load_episodes(self.expert_data)
+        check_integer(0, expert_episodes=self.expert_episodes, pretrain_steps=self.pretrain_steps)
         check_integer(0, learning_starts=self.learning_starts)
         check_integer(1, batch_size=self.batch_size, buffer_size=self.buffer_size)
         check_integer(-1, gradient_steps=self.gradient_steps)
         check_fraction(gamma=self.gamma, tau=self.tau)
-        if self.pretrain_steps and source.is_empty:
+        if self.pretrain_steps and self.expert_data is None and not self.expert_episodes:
             raise ValueError(
                 "pretrain_steps must be 0 without demonstrations (expert_episodes=0), "
                 f"got {self.pretrain_steps}"
@@ -77,9 +80,9 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         for name in self.replay_buffer_kwargs.keys() & self.own_buffer_arguments:
             raise ValueError(f"{name} must be an argument of the algorithm, not of replay_buffer_kwargs")
 
-    def _demonstrations(self, **kwargs: Any) -> DemonstrationSource:
-        data = load_episodes(self.expert_data)
-        return DemonstrationSource(self.expert_episodes, self.expert_noise, data, **kwargs)
+    def _action_transform(self) -> ActionTransform | None:
+        """Return the transformation of the expert's actions before they are executed, or None."""
+        return None
 
     def _setup_model(self) -> None:
         kwargs = with_action_metadata(self.policy_class, self.policy_kwargs, self.env, self.action_space)
@@ -210,6 +213,9 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
                 "expert_data must be set after load(), got None: a model does not store its "
                 "demonstrations. Set model.expert_data, or load the replay buffer"
             )
+        # The noise of a loaded model has its former number of environments.
+        if isinstance(self.action_noise, VectorizedActionNoise):
+            self.action_noise = self.action_noise.base_noise
         return super()._setup_learn(*args, **kwargs)
 
     def collect_rollouts(
@@ -229,13 +235,34 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
 
     def _collect_demonstrations(self, replay_buffer: ExpertReplayBuffer, env: VecEnv) -> None:
         seed = None if self.seed is None else _derive_seed(self.seed, EXPERT_KEY)
-        source = self._demonstrations(progress_bar=self._progress_bar)
         self.n_pretrained = 0  # A model that was loaded with another environment is pretrained again.
+        data, episodes = load_episodes(self.expert_data), self.expert_episodes
+        demonstrations: Iterable[EpisodeData] = (
+            collect_from_copies(env, episodes, seed, self._progress_bar, self._action_transform())
+            if data is None
+            else validate_episodes(data, env)
+        )
         try:
-            source.fill(replay_buffer, env, seed, self.as_policy_actions)
+            self._add_demonstrations(replay_buffer, demonstrations)
         except BaseException:  # The next learn() must collect all of them again.
             replay_buffer.reset()
             raise
+
+    def _add_demonstrations(self, buffer: ExpertReplayBuffer, demonstrations: Iterable[EpisodeData]) -> None:
+        for episode in demonstrations:
+            intended = getattr(episode, "expert_actions", None)
+            buffer.add_episode(
+                episode.observations,
+                self.as_policy_actions(episode.actions),
+                episode.rewards,
+                episode.terminations,
+                expert_actions=None if intended is None else self.as_policy_actions(intended),
+            )
+        if self.expert_data is not None and not buffer.expert_size:
+            raise ValueError(
+                "expert_data must have at least one episode, got none. Pass a list: an iterator is empty "
+                "after its first use"
+            )
 
     def _pretrain(self, callback: BaseCallback) -> None:
         total, done = self._pretraining_total, self.n_pretrained

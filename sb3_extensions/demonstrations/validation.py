@@ -1,5 +1,6 @@
-"""Validation of demonstrations against the training environment."""
+"""Demonstrations that users pass: loading, and validation against the training environment."""
 
+import os
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
@@ -12,12 +13,34 @@ from sb3_extensions.common.env_metadata import RANGES, SEQUENCE, env_attribute
 from sb3_extensions.common.observations import as_parts, space_parts
 from sb3_extensions.demonstrations.episodes import EpisodeData
 
+ExpertData = Iterable[EpisodeData] | str | os.PathLike[str]
+"""Episodes, or the path of a file of ``bulletarm_gym.demonstrations``."""
+
 ACTION_SPACE = "action_space"
 RELATIVE_TOLERANCE = 1e-5
 """Allowed excess over the bounds of a space, relative to its range: files store rounded numbers."""
 MAX_FLOAT32 = float(np.finfo(np.float32).max)
 REWARD_SPACE = spaces.Box(-MAX_FLOAT32, MAX_FLOAT32, ())
 TERMINATION_SPACE = spaces.Box(0.0, 1.0, ())
+
+
+def load_episodes(data: ExpertData | None) -> Iterable[EpisodeData] | None:
+    """
+    Return episodes that were passed or that are in a file, or None.
+
+    :raises ImportError: if ``data`` is a path and bulletarm-gym is not installed
+    :raises OSError: if the file cannot be opened
+    :raises ValueError: if the file is not a file of demonstrations, or ``data`` is something else
+    """
+    if not isinstance(data, Iterable | os.PathLike | None):
+        raise ValueError(f"expert_data must be an iterable of episodes or the path of a file, got {data!r}")
+    if not isinstance(data, str | os.PathLike):
+        return data
+    try:
+        from bulletarm_gym.demonstrations import load
+    except ImportError as error:
+        raise ImportError(f"expert_data={data!r} requires: pip install bulletarm-gym") from error
+    return load(data)
 
 
 def validate_episodes(data: Iterable[EpisodeData], env: VecEnv) -> Iterator[EpisodeData]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import gymnasium as gym
@@ -12,11 +11,16 @@ from stable_baselines3.common.type_aliases import PyTorchObs, Schedule
 from torch import nn
 from torch.nn import functional as F
 
-from sb3_extensions.encoders.cnn import CnnEncoder, scale_channels
+from sb3_extensions.encoders.cnn import CnnEncoder
 from sb3_extensions.encoders.extractors import CnnExtractor
-from sb3_extensions.encoders.observation import StackedImage
 from sb3_extensions.sacfd import policies as sacfd
 from sb3_extensions.sacfd.actor_critic import NetArch
+
+
+class ContrastiveEncoder(CnnEncoder):
+    """Convolutional encoder with BulletArm's channels of FERM, see the base class for the parameters."""
+
+    LAST = (256, 256, 1024)
 
 
 class ContrastiveExtractor(CnnExtractor):
@@ -25,23 +29,13 @@ class ContrastiveExtractor(CnnExtractor):
 
     :param observation_space: see :class:`~sb3_extensions.encoders.observation.StackedImage`
     :param features_dim: number of features
-    :param channels: output channels of each stage. None for BulletArm's, adapted to the image size
     :param kwargs: further parameters of :class:`~sb3_extensions.encoders.extractors.CnnExtractor`
     """
 
-    LAST = (256, 256, 1024)
-    """Channels of the stages after the halving stages."""
+    encoder_class = ContrastiveEncoder
 
-    def __init__(
-        self,
-        observation_space: gym.Space[Any],
-        features_dim: int = 50,
-        channels: Sequence[int] | None = None,
-        **kwargs: Any,
-    ) -> None:
-        size = StackedImage(observation_space, None, kwargs.get("crop")).size
-        channels = channels or scale_channels(size, CnnEncoder.HALVING, self.LAST)
-        super().__init__(observation_space, channels, **kwargs)
+    def __init__(self, observation_space: gym.Space[Any], features_dim: int = 50, **kwargs: Any) -> None:
+        super().__init__(observation_space, **kwargs)
         linear = nn.Linear(self.features_dim, features_dim)
         nn.init.xavier_uniform_(linear.weight)
         nn.init.zeros_(linear.bias)

@@ -40,10 +40,6 @@ class Augmentation(ABC):
         """Augmentation with random windows, None without one."""
         return None
 
-    def average_targets(self, values: th.Tensor) -> th.Tensor:
-        """Return means over the views of each next observation, one row for each view of an observation."""
-        return values if self.window is None else self.window.average_views(values)
-
     def with_crop(self, policy_kwargs: dict[str, Any]) -> dict[str, Any]:
         """
         Return arguments of a policy whose features extractor crops images to the size of the views.
@@ -119,8 +115,8 @@ class RandomWindow(Augmentation):
                 f"{self}, got {space}"
             )
 
-    def average_views(self, values: th.Tensor) -> th.Tensor:
-        """Return values of one view of each observation unchanged."""
+    def average_targets(self, values: th.Tensor) -> th.Tensor:
+        """Return means over the views of each next observation, one row for each view of an observation."""
         return values
 
     def view(self, observations: Observations, generator: th.Generator, copies: int = 1) -> Observations:
@@ -220,7 +216,7 @@ class DrQ(RandomWindow):
             **columns,
         )
 
-    def average_views(self, values: th.Tensor) -> th.Tensor:
+    def average_targets(self, values: th.Tensor) -> th.Tensor:
         """Return the mean over the K views, repeated for the M views; shape (M * batch, n)."""
         return repeat(values.view(self.K, -1, values.shape[1]).mean(dim=0), self.M)
 

@@ -3,11 +3,10 @@
 from functools import partial
 from typing import Any
 
-from gymnasium import spaces
-from stable_baselines3.common.distributions import SquashedDiagGaussianDistribution
+import torch as th
 from stable_baselines3.common.policies import ContinuousCritic
 from stable_baselines3.common.preprocessing import get_action_dim
-from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, create_mlp
+from stable_baselines3.common.torch_layers import create_mlp
 from stable_baselines3.sac.policies import Actor
 from torch import nn
 
@@ -36,14 +35,25 @@ def xavier_mlp(*args: Any, normalise: bool) -> list[nn.Module]:
     return layers
 
 
-def initialise_actor(actor: Actor, normalise: bool) -> Actor:
-    """Initialise the layers behind the encoder, with or without normalisation of the hidden ones."""
-    layers = xavier_mlp(actor.features_dim, -1, actor.net_arch, actor.activation_fn, normalise=normalise)
-    actor.latent_pi = nn.Sequential(*layers)
-    for output in (actor.mu, actor.log_std):
-        if isinstance(output, nn.Linear):
-            initialise_output(output, SMALL_GAIN if normalise else 1.0)
-    return actor
+class XavierActor(Actor):
+    """
+    Actor with Xavier uniform weights behind the encoder (the authors' code).
+
+    :param normalise: whether to normalise hidden layers and start with means near 0 and deviations near 1
+    :param kwargs: parameters of Stable-Baselines3's ``Actor``
+    """
+
+    def __init__(self, *, normalise: bool = False, **kwargs: Any) -> None:
+        super().__init__(**kwargs)
+        self.normalise = normalise
+        layers = xavier_mlp(self.features_dim, -1, self.net_arch, self.activation_fn, normalise=normalise)
+        self.latent_pi = nn.Sequential(*layers)
+        for output in (self.mu, self.log_std):
+            if isinstance(output, nn.Linear):
+                initialise_output(output, SMALL_GAIN if normalise else 1.0)
+
+    def _get_constructor_parameters(self) -> dict[str, Any]:
+        return {**super()._get_constructor_parameters(), "normalise": self.normalise}
 
 
 class MultiHeadCritic(ContinuousCritic):
@@ -93,52 +103,31 @@ class EquivariantActor(Actor):
     The Gaussian before squashing is equivariant under the whole group. Squashing acts on x and y separately,
     so it commutes only with rotations by 90 degrees and with reflections.
 
-    See Stable-Baselines3's ``Actor`` for the parameters that are not documented here.
-
-    :param net_arch: regular fields of each hidden layer behind the encoder
-    :param features_extractor: network with regular features that trivial ones may follow
     :param action_sequence: see :class:`~sb3_extensions.common.action_sequence.ActionSequence`
     :param normalise: whether to normalise hidden layers and start with means near 0 and deviations near 1
-    :param use_sde: must be False
-    :param kwargs: arguments of state-dependent exploration, without effect
+    :param kwargs: parameters of Stable-Baselines3's ``Actor``. ``net_arch`` and the features are regular
+        fields, which trivial ones may follow in the features
     :raises ValueError: if features or ``action_sequence`` do not fit, or with ``use_sde``
     """
 
-    def __init__(
-        self,
-        observation_space: spaces.Space[Any],
-        action_space: spaces.Box,
-        net_arch: list[int],
-        features_extractor: BaseFeaturesExtractor,
-        features_dim: int,
-        action_sequence: str,
-        normalise: bool = False,
-        activation_fn: type[nn.Module] = nn.ReLU,
-        use_sde: bool = False,
-        normalize_images: bool = True,
-        **kwargs: Any,
-    ) -> None:
-        if use_sde:
+    def __init__(self, *, action_sequence: str, normalise: bool = False, **kwargs: Any) -> None:
+        if kwargs.get("use_sde"):
             raise ValueError("use_sde=True: the noise of state-dependent exploration is not equivariant")
-        # Actor's own constructor would build heads that are not equivariant
-        super(Actor, self).__init__(
-            observation_space,
-            action_space,
-            features_extractor=features_extractor,
-            normalize_images=normalize_images,
-            squash_output=True,
-        )
-        self.use_sde = False
-        action_dim = get_action_dim(action_space)
-        action = ActionSequence(action_sequence, action_dim)
+        with th.random.fork_rng(devices=[]):  # initial weights do not depend on the layers replaced below
+            super().__init__(**kwargs)
+        self.action_sequence, self.normalise = action_sequence, normalise
+        action = ActionSequence(action_sequence, get_action_dim(self.action_space))
         gain = SMALL_GAIN if normalise else 1.0
-        hidden_type = in_type = features_type(features_extractor)
-        if net_arch:
-            hidden_type = FieldType.of((in_type.group.regular, net_arch[-1]))
-        self.latent_pi = equivariant_mlp(in_type, net_arch, activation_fn, normalise)
-        self.action_dist = SquashedDiagGaussianDistribution(action_dim)  # type: ignore[assignment]
+        hidden_type = in_type = features_type(self.features_extractor)
+        if self.net_arch:
+            hidden_type = FieldType.of((in_type.group.regular, self.net_arch[-1]))
+        self.latent_pi = equivariant_mlp(in_type, self.net_arch, self.activation_fn, normalise)
         self.mu = EquivariantMean(hidden_type, action, gain)
         self.log_std = EquivariantLogStd(hidden_type, action, gain)  # type: ignore[assignment]
+
+    def _get_constructor_parameters(self) -> dict[str, Any]:
+        data = super()._get_constructor_parameters()
+        return {**data, "action_sequence": self.action_sequence, "normalise": self.normalise}
 
 
 class EquivariantCritic(MultiHeadCritic):

@@ -1,5 +1,6 @@
 """Policies of SACfD: the paper's CNN, its equivariant network, and a multi-layer perceptron."""
 
+from functools import partial
 from typing import Any, ClassVar
 
 import torch as th
@@ -16,7 +17,7 @@ from sb3_extensions.sacfd.actor_critic import (
     EquivariantCritic,
     MultiHeadCritic,
     NetArch,
-    initialise_actor,
+    XavierActor,
 )
 
 
@@ -40,6 +41,7 @@ class SACfDPolicy(SACPolicy):
 
     default_extractor: ClassVar[type[BaseFeaturesExtractor]]
     default_net_arch: ClassVar[NetArch]
+    actor_class: ClassVar[type[Actor]] = XavierActor
     critic_class: ClassVar[type[MultiHeadCritic]] = MultiHeadCritic
     actor_average: AveragedModel | None
 
@@ -63,24 +65,26 @@ class SACfDPolicy(SACPolicy):
         super().__init__(*args, **kwargs)
 
     def _build(self, lr_schedule: Schedule) -> None:
+        self.actor_kwargs["normalise"] = self.critic_kwargs["normalise"] = self.normalise
         super()._build(lr_schedule)
         self.build_average()
+
+    def make_actor(self, features_extractor: BaseFeaturesExtractor | None = None) -> Actor:
+        """Create the actor."""
+        kwargs = self._update_features_extractor(self.actor_kwargs, features_extractor)
+        return self.actor_class(**kwargs).to(self.device)
 
     def make_critic(self, features_extractor: BaseFeaturesExtractor | None = None) -> ContinuousCritic:
         """Create the critic."""
         kwargs = self._update_features_extractor(self.critic_kwargs, features_extractor)
-        return self.critic_class(normalise=self.normalise, **kwargs).to(self.device)
+        return self.critic_class(**kwargs).to(self.device)
 
     def build_average(self) -> None:
         """Create the average from the actor's present weights."""
         self.actor_average = None
-        if (tau := self.actor_tau) is None:
-            return
-
-        def average(averaged: Any, current: Any, n_averaged: Any) -> None:
-            th._foreach_lerp_(averaged, current, max(tau, 1 / (int(n_averaged) + 1)))
-
-        self.actor_average = AveragedModel(self.actor, multi_avg_fn=average).requires_grad_(False).eval()
+        if self.actor_tau is not None:
+            average = AveragedModel(self.actor, multi_avg_fn=partial(_average, self.actor_tau))
+            self.actor_average = average.requires_grad_(False).eval()
 
     def update_average(self) -> None:
         """Update the average by the actor's weights."""
@@ -108,6 +112,11 @@ class SACfDPolicy(SACPolicy):
         return data
 
 
+def _average(tau: float, averaged: Any, current: Any, n_averaged: Any) -> None:
+    """Update averaged weights; the first ``1 / tau`` weights have equal shares."""
+    th._foreach_lerp_(averaged, current, max(tau, 1 / (int(n_averaged) + 1)))
+
+
 class MultiInputPolicy(SACfDPolicy):
     """
     CNN policy of the paper, with an encoder for the actor and one for all heads of the critic.
@@ -119,10 +128,6 @@ class MultiInputPolicy(SACfDPolicy):
 
     default_extractor: ClassVar[type[BaseFeaturesExtractor]] = CnnExtractor
     default_net_arch: ClassVar[NetArch] = {"pi": [], "qf": [128]}
-
-    def make_actor(self, features_extractor: BaseFeaturesExtractor | None = None) -> Actor:
-        """Create the actor."""
-        return initialise_actor(super().make_actor(features_extractor), self.normalise)
 
 
 class StatePolicy(MultiInputPolicy):
@@ -154,6 +159,7 @@ class EquivariantPolicy(SACfDPolicy):
 
     default_extractor: ClassVar[type[BaseFeaturesExtractor]] = EquivariantExtractor
     default_net_arch: ClassVar[NetArch] = {"pi": [], "qf": []}
+    actor_class: ClassVar[type[Actor]] = EquivariantActor
     critic_class: ClassVar[type[MultiHeadCritic]] = EquivariantCritic
 
     def __init__(self, *args: Any, action_sequence: str = "pxyzr", **kwargs: Any) -> None:
@@ -161,14 +167,8 @@ class EquivariantPolicy(SACfDPolicy):
         super().__init__(*args, **kwargs)
 
     def _build(self, lr_schedule: Schedule) -> None:
-        self.critic_kwargs["action_sequence"] = self.action_sequence
+        self.actor_kwargs["action_sequence"] = self.critic_kwargs["action_sequence"] = self.action_sequence
         super()._build(lr_schedule)
-
-    def make_actor(self, features_extractor: BaseFeaturesExtractor | None = None) -> Actor:
-        """Create the actor, equivariant under the group."""
-        kwargs = self._update_features_extractor(self.actor_kwargs, features_extractor)
-        actor = EquivariantActor(action_sequence=self.action_sequence, normalise=self.normalise, **kwargs)
-        return actor.to(self.device)
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
         data = super()._get_constructor_parameters()

@@ -11,7 +11,7 @@ from stable_baselines3.common.noise import ActionNoise
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.type_aliases import GymEnv, PyTorchObs, Schedule
 from stable_baselines3.common.utils import polyak_update
-from stable_baselines3.sac.policies import SACPolicy
+from stable_baselines3.sac.policies import LOG_STD_MAX, LOG_STD_MIN, SACPolicy
 from stable_baselines3.sac.sac import SAC
 from torch import nn
 
@@ -21,16 +21,16 @@ from sb3_extensions.common.components import (
     check_not_negative,
     check_positive,
 )
-from sb3_extensions.demonstrations.off_policy import Logs
-from sb3_extensions.demonstrations.source import ExpertData
+from sb3_extensions.demonstrations.collection import ActionTransform, add_noise
+from sb3_extensions.demonstrations.off_policy import Logs, OffPolicyFromDemonstrations
+from sb3_extensions.demonstrations.validation import ExpertData
 from sb3_extensions.replay.rotation import AugmentationSpec
 from sb3_extensions.replay.samples import ExpertReplayBufferSamples, compute_next_values
 from sb3_extensions.sacfd.losses import imitation_loss, self_imitation_weights
-from sb3_extensions.sacfd.policies import EquivariantPolicy, MultiInputPolicy, StatePolicy
-from sb3_extensions.sacfd.pretraining import ActorPretraining
+from sb3_extensions.sacfd.policies import EquivariantPolicy, MultiInputPolicy, SACfDPolicy, StatePolicy
 
 
-class SACfD(ActorPretraining, SAC):
+class SACfD(OffPolicyFromDemonstrations, SAC):
     """
     Soft actor-critic from demonstrations (SACfD).
 
@@ -170,6 +170,7 @@ class SACfD(ActorPretraining, SAC):
     def _check_arguments(self) -> None:
         self._check_demonstrations()
         check_not_negative(bc_weight=self.bc_weight, expert_q_weight=self.expert_q_weight)
+        check_not_negative(expert_noise=self.expert_noise)
         check_integer(0, critic_warmup_steps=self._warmup_steps)
         check_integer(1, target_update_interval=self.target_update_interval)
         if self.bc_weight == 0 and self.pretrain_steps > self._warmup_steps:
@@ -185,6 +186,11 @@ class SACfD(ActorPretraining, SAC):
         super()._setup_model()
         # The target is not trained; without gradients its encoder keeps no activations.
         self.critic_target.requires_grad_(False)
+
+    def _action_transform(self) -> ActionTransform | None:
+        return (
+            partial(add_noise, space=self.action_space, std=self.expert_noise) if self.expert_noise else None
+        )
 
     def train(self, gradient_steps: int, batch_size: int = 64) -> None:
         """
@@ -270,6 +276,63 @@ class SACfD(ActorPretraining, SAC):
 
         self._log_updates(gradient_steps, logs)
 
+    @property
+    def _warmup_steps(self) -> int:
+        return self.pretrain_steps if self.critic_warmup_steps is None else self.critic_warmup_steps
+
+    def _pretrain_once(self) -> None:
+        if self.pretraining_left > self._warmup_steps:
+            self._imitate()
+        else:
+            super()._pretrain_once()
+
+    def _imitate(self) -> None:
+        """Update the actor by the imitation term alone."""
+        self.policy.set_training_mode(True)
+        self._update_learning_rate(self.actor.optimizer)
+        logs: Logs = defaultdict(list)
+        replay_data = self._sample(self.batch_size, logs)
+        actions_pi, _ = self._action_log_prob(self._features(self.actor, replay_data.observations))
+        bc_loss = imitation_loss(actions_pi, replay_data, th.zeros_like(replay_data.rewards), self.bc_limit)
+        self.actor.optimizer.zero_grad()
+        (self.bc_weight * bc_loss).backward()
+        self.actor.optimizer.step()
+        self._update_actor_average()
+        logs["bc_loss"].append(bc_loss.detach())
+        self._log_updates(1, logs)
+
+    def _features(self, network: Any, observations: PyTorchObs) -> th.Tensor:
+        """Return the features of an actor or a critic, (batch, features_dim)."""
+        features: th.Tensor = network.extract_features(observations, network.features_extractor)
+        return features
+
+    def _action_log_prob(self, features: th.Tensor) -> tuple[th.Tensor, th.Tensor]:
+        """Sample the actor's actions; return them and their log probabilities, (batch, 1)."""
+        latent_pi = self.actor.latent_pi(features)
+        log_std = self.actor.log_std(latent_pi).clamp(LOG_STD_MIN, LOG_STD_MAX)  # type: ignore[operator]
+        actions, log_prob = self.actor.action_dist.log_prob_from_params(  # type: ignore[call-arg]
+            self.actor.mu(latent_pi), log_std
+        )
+        return actions, log_prob.reshape(-1, 1)
+
+    def _sample(self, batch_size: int, logs: Logs) -> ExpertReplayBufferSamples:
+        """Sample the replay buffer, train the encoder on the observations alone, augment the sample."""
+        assert self.replay_buffer is not None
+        replay_data = self.replay_buffer.sample(batch_size, env=self._vec_normalize_env)
+        for name, value in self._update_encoder(replay_data.observations).items():
+            logs[name].append(value)
+        if self.augmentation is not None:
+            replay_data = self.augmentation(replay_data, self.augmentation_generator)
+        return replay_data
+
+    def _update_encoder(self, observations: PyTorchObs) -> dict[str, th.Tensor]:
+        """Train an encoder on observations alone; return the losses by name. SACfD trains none."""
+        return {}
+
+    def _update_actor_average(self) -> None:
+        if isinstance(self.policy, SACfDPolicy):
+            self.policy.update_average()
+
     def _update_ent_coef(self, log_prob: th.Tensor, logs: Logs) -> th.Tensor:
         """Update the entropy coefficient if it is learned; return the value before."""
         if self.ent_coef_optimizer is None or self.log_ent_coef is None:
@@ -288,8 +351,8 @@ class SACfD(ActorPretraining, SAC):
         """Return the discounted next values, 0 at the ends of episodes; (batch, values)."""
         assert replay_data.discounts is not None
         values = compute_next_values(replay_data, partial(self._next_values, ent_coef=ent_coef))
-        if self.augmentation is not None:
-            values = self.augmentation.average_targets(values)
+        if self.augmentation is not None and self.augmentation.window is not None:
+            values = self.augmentation.window.average_targets(values)
         return (1 - replay_data.dones) * replay_data.discounts * values
 
     def _next_values(self, next_observations: PyTorchObs, ent_coef: th.Tensor) -> th.Tensor:

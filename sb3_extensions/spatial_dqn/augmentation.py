@@ -40,24 +40,18 @@ class RigidMotion(Augmentation):
         self, samples: ExpertReplayBufferSamples, generator: th.Generator
     ) -> ExpertReplayBufferSamples:
         """Return samples with moved heightmaps and actions; ``expert_actions`` do not change."""
-        actions = samples.actions.cpu().numpy()
-        indices = th.as_tensor(self.codec.encode(actions), device=samples.actions.device)
-        moved, moved_indices = self.move(samples, indices, generator)
-        moved_actions = self.codec.decode(moved_indices.cpu().numpy(), self.codec.places(actions))
-        return moved._replace(actions=th.as_tensor(moved_actions, device=samples.actions.device))
-
-    def move(
-        self, samples: ExpertReplayBufferSamples, indices: th.Tensor, generator: th.Generator
-    ) -> tuple[ExpertReplayBufferSamples, th.Tensor]:
-        """Return samples with moved heightmaps, and the moved indices of their actions."""
         before, after = samples.observations, samples.next_observations
         assert isinstance(before, dict) and isinstance(after, dict)
+        actions = samples.actions.cpu().numpy()
+        indices = th.as_tensor(self.codec.encode(actions), device=samples.actions.device)
         steps, shifts = self._sample_motions(before, after, indices, generator)
-        moved = samples._replace(
+        moved_indices = self._move_indices(indices, steps, shifts).cpu().numpy()
+        moved_actions = self.codec.decode(moved_indices, self.codec.places(actions))
+        return samples._replace(
             observations=self._move_heightmap(before, steps, shifts),
             next_observations=self._move_heightmap(after, steps, shifts),
+            actions=th.as_tensor(moved_actions, device=samples.actions.device),
         )
-        return moved, self._move_indices(indices, steps, shifts)
 
     def _sample_motions(
         self, before: TensorDict, after: TensorDict, indices: th.Tensor, generator: th.Generator

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import torch as th
+from gymnasium import spaces
 
 from sb3_extensions.common.action_sequence import ActionSequence
 from sb3_extensions.common.components import check_integer, check_positive
@@ -157,6 +158,17 @@ class SpatialActionCodec:
             return np.zeros(len(actions), dtype=bool)
         places: npt.NDArray[np.bool_] = np.asarray(actions)[:, self.numbers.index("p")] >= 0.0
         return places
+
+
+def snap_to_grid(
+    action: npt.NDArray[Any], rng: np.random.Generator, space: spaces.Box, codec: SpatialActionCodec
+) -> npt.NDArray[Any]:
+    """Move an action, in the units of a bounded space, to the nearest cell of the grid."""
+    # float64, so that the action of a cell is exact in a space from -1 to 1
+    low, high = space.low.astype(np.float64), space.high.astype(np.float64)
+    snapped = codec.snap(2.0 * ((np.clip(action, low, high) - low) / (high - low))[None] - 1.0)[0]
+    executed: npt.NDArray[Any] = low + (snapped.astype(np.float64) + 1.0) / 2.0 * (high - low)
+    return executed.clip(low, high).astype(space.dtype)
 
 
 def explore_on_grid(

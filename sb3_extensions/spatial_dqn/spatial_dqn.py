@@ -1,6 +1,7 @@
 """Deep Q-learning over spatial action maps, from demonstrations."""
 
 from collections import defaultdict
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy.typing as npt
@@ -19,11 +20,12 @@ from sb3_extensions.common.components import (
     check_not_negative,
     check_positive,
 )
+from sb3_extensions.demonstrations.collection import ActionTransform
 from sb3_extensions.demonstrations.off_policy import Logs, OffPolicyFromDemonstrations
-from sb3_extensions.demonstrations.source import DemonstrationSource, ExpertData
+from sb3_extensions.demonstrations.validation import ExpertData
 from sb3_extensions.replay.samples import compute_next_values
 from sb3_extensions.spatial_dqn.augmentation import RigidMotion
-from sb3_extensions.spatial_dqn.codec import explore_on_grid
+from sb3_extensions.spatial_dqn.codec import explore_on_grid, snap_to_grid
 from sb3_extensions.spatial_dqn.losses import ImitationLoss, cross_entropy, large_margin, strict_margin
 from sb3_extensions.spatial_dqn.policies import (
     ASRPolicy,
@@ -86,7 +88,6 @@ class SpatialDQN(OffPolicyFromDemonstrations):
     """Imitation loss of one level, None without imitation."""
     exploration_schedule: Schedule
     policy: SpatialPolicy
-    expert_noise = 0.0  # noisy actions are not on the grid
 
     def __init__(
         self,
@@ -284,8 +285,9 @@ class SpatialDQN(OffPolicyFromDemonstrations):
             scaled = self.codec.decode(indices, places)
         return self.policy.unscale_action(scaled), scaled
 
-    def _demonstrations(self, **kwargs: Any) -> DemonstrationSource:
-        return super()._demonstrations(snap=getattr(self, "codec", None), **kwargs)
+    def _action_transform(self) -> ActionTransform:
+        assert isinstance(self.action_space, spaces.Box)
+        return partial(snap_to_grid, space=self.action_space, codec=self.codec)
 
     def as_policy_actions(self, actions: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Convert actions to the policy's units and move them to the grid."""

@@ -118,6 +118,7 @@ def test_at_most_twelve_additions_and_all_off():
         ({"self_imitation_temperature": 0.0}, "self_imitation_temperature"),
         ({"policy_kwargs": {"actor_tau": 1.5}}, "actor_tau .* got 1.5"),
         ({"augmentation": {"rad": {"size": 16}}}, "16 x 16"),
+        ({"expert_noise": -0.1}, "expert_noise .* got -0.1"),
         ({"train_freq": 0}, "train_freq .* n_envs=1"),
         ({"learner": TQCfD, "top_quantiles_to_drop_per_net": 25}, "top_quantiles_to_drop_per_net"),
         ({"learner": TQCfD, "policy": SAC.policy_aliases["MultiInputPolicy"]}, "n_quantiles=1, got 2"),
@@ -134,13 +135,12 @@ def test_invalid_arguments_are_rejected(kwargs, named, make_learner):
         make_learner(**kwargs)
 
 
-@pytest.mark.parametrize("algorithm", [SACfD, SDQfD])
-def test_learn_has_the_parameters_of_stable_baselines3(algorithm):
-    ours, theirs = (list(inspect.signature(each.learn).parameters) for each in (algorithm, SAC))
+def test_learn_has_the_parameters_of_stable_baselines3():
+    ours, theirs = (list(inspect.signature(each.learn).parameters) for each in (SACfD, SAC))
     assert ours == theirs
 
 
-@pytest.mark.parametrize("algorithm", [SACfD, TQCfD, FERM, SDQfD])
+@pytest.mark.parametrize("algorithm", [SACfD, SDQfD])
 def test_an_unknown_policy_is_refused_with_the_known_ones(algorithm, make_toy):
     with pytest.raises(ValueError, match=f"policy .*{', '.join(algorithm.policy_aliases)}, got 'CnnPolicy'"):
         algorithm("CnnPolicy", make_toy())
@@ -300,7 +300,6 @@ UNBOUNDED = box(1, 8, 8, high=np.inf)
         (lambda: EquivariantLinear(fields(C4.regular), fields(C8.regular)), "group"),
         (lambda: EquivariantLinear(fields(D4.trivial), fields(D4.sign)), "commutes"),
         (lambda: EquivariantConv2d(MIXED, MIXED, 0), "kernel_size 0"),
-        (lambda: RAD(16).check(scene()), "observation_space images 16"),
         (
             lambda: RAD(12).with_crop({"features_extractor_class": MlpExtractor}),
             "features_extractor_class crop 12 MlpExtractor",

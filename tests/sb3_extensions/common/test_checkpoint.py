@@ -18,6 +18,7 @@ from gymnasium.wrappers import (
     TransformObservation,
     TransformReward,
 )
+from sb3_contrib import RecurrentPPO
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.noise import NormalActionNoise
@@ -144,6 +145,11 @@ def stock_algorithm(env):
     return PPO("MultiInputPolicy", env, seed=0, device="cpu", **settings)
 
 
+def recurrent_algorithm(env):
+    settings = {"n_steps": 4, "batch_size": 4, "policy_kwargs": {"net_arch": [8], "lstm_hidden_size": 4}}
+    return RecurrentPPO("MultiInputLstmPolicy", env, seed=0, device="cpu", **settings)
+
+
 @pytest.mark.parametrize(
     ("wrap", "wrap_vector", "make"),
     [
@@ -153,8 +159,9 @@ def stock_algorithm(env):
         (stacked, None, None),
         (None, normalised, None),
         (None, None, stock_algorithm),
+        (None, None, recurrent_algorithm),
     ],
-    ids=["delay", "time", "rewards", "frames", "vector", "stock algorithm"],
+    ids=["delay", "time", "rewards", "frames", "vector", "stock algorithm", "recurrent algorithm"],
 )
 def test_wrappers_and_stock_algorithms_resume_exactly(wrap, wrap_vector, make, make_model, tmp_path):
     def make_env():

@@ -19,9 +19,8 @@ from stable_baselines3.common.vec_env import (
 )
 
 from bulletarm_gym.demonstrations import RecordDemonstrations
-from sb3_extensions.demonstrations import source
-from sb3_extensions.demonstrations.action_transforms import GaussianExpertNoise
-from sb3_extensions.demonstrations.collection import collect_episodes
+from sb3_extensions.demonstrations import expert_envs
+from sb3_extensions.demonstrations.collection import add_noise, collect_episodes
 from sb3_extensions.demonstrations.expert_envs import make_expert_envs
 
 
@@ -82,7 +81,7 @@ def test_a_kept_scene_is_reset_after_a_failure_only(monkeypatch):
 
 def test_noise_changes_executed_but_not_intended_actions():
     """The label of DART is the intended action in the state that results from earlier errors."""
-    transform = GaussianExpertNoise(make_env().action_space, 0.05)
+    transform = partial(add_noise, space=make_env().action_space, std=0.05)
     noisy, again = (collect(20, transform=transform) for _ in range(2))
     np.testing.assert_array_equal(noisy[0].actions, again[0].actions)
     env, errors = make_env(), []
@@ -184,8 +183,10 @@ def test_different_environments_contribute_in_proportion(episodes, expected, mon
     copies = make_expert_envs(env)
     assert [(copy.get_attr("max_steps")[0], share) for copy, share in copies] == [(10, 2), (50, 1)]
     counts = []
-    monkeypatch.setattr(source, "collect_episodes", lambda env, n, *args, **kwargs: counts.append(n) or [])
-    list(source.DemonstrationSource(episodes)._collect(env, 0))
+    monkeypatch.setattr(
+        expert_envs, "collect_episodes", lambda env, n, *args, **kwargs: counts.append(n) or []
+    )
+    list(expert_envs.collect_from_copies(env, episodes, 0))
     assert counts == expected
 
 

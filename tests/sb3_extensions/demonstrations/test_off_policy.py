@@ -14,13 +14,14 @@ from gymnasium.wrappers import FlattenObservation, RescaleAction
 from stable_baselines3 import SAC
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.noise import NormalActionNoise
 
 from bulletarm_gym.demonstrations import collect
 from sb3_extensions.demonstrations.collection import collect_episodes
 from sb3_extensions.demonstrations.dagger import DaggerCallback
 from sb3_extensions.demonstrations.episodes import Episode
 from sb3_extensions.demonstrations.expert_envs import make_expert_envs
-from sb3_extensions.demonstrations.source import load_episodes
+from sb3_extensions.demonstrations.validation import load_episodes
 from sb3_extensions.sacfd import SACfD
 
 
@@ -28,8 +29,9 @@ from sb3_extensions.sacfd import SACfD
 def test_a_loaded_model_begins_again_with_demonstrations_of_its_environment(
     steps, make_toy, make_learner, tmp_path
 ):
-    """Also with fewer steps of pretraining than were done."""
-    make_learner(pretrain_steps=4, critic_warmup_steps=2).learn(2).save(tmp_path / "model")
+    """Also with fewer steps of pretraining than were done, and with action noise of more environments."""
+    kwargs = {"action_noise": NormalActionNoise(np.zeros(5), np.ones(5)), "pretrain_steps": 4}
+    make_learner(make_toy(2), critic_warmup_steps=2, **kwargs).learn(2).save(tmp_path / "model")
     changes = {} if steps is None else {"pretrain_steps": steps, "expert_episodes": 3}
     loaded = SACfD.load(tmp_path / "model", env=make_toy(max_steps=9), device="cpu", **changes)
     updates = loaded._n_updates

@@ -1,6 +1,7 @@
 """Policies of SACfD: they rotate with the scene, serve SAC, and may average the actor's weights."""
 
 import itertools
+import pickle
 
 import numpy as np
 import pytest
@@ -181,9 +182,10 @@ def test_average_acts_without_dropout(make_toy, make_learner):
 
 @pytest.mark.parametrize(("learner", "policy"), [(TQCfD, "EquivariantPolicy"), (FERM, "MultiInputPolicy")])
 def test_average_acts_where_actions_are_not_sampled(learner, policy, make_toy, make_learner, tmp_path):
-    """The average is saved and not trained, and learning is the same with it."""
-    model = make_learner(make_toy(2), learner, policy, policy_kwargs={"actor_tau": 0.25}).learn(20)
-    without = make_learner(make_toy(2), learner, policy).learn(20)
+    """The average is saved and not trained, and learning is the same with it. Actors are saved alone, too."""
+    kwargs = {"actor_tau": 0.25, "normalise": True}
+    model = make_learner(make_toy(2), learner, policy, policy_kwargs=kwargs).learn(20)
+    without = make_learner(make_toy(2), learner, policy, policy_kwargs={"normalise": True}).learn(20)
     for name in ("actor", "critic"):
         np.testing.assert_array_equal(weights(getattr(model, name)), weights(getattr(without, name)))
     model.policy.set_training_mode(False)
@@ -202,6 +204,13 @@ def test_average_acts_where_actions_are_not_sampled(learner, policy, make_toy, m
     expected, _ = model.predict(observation, deterministic=True)
     model.save(tmp_path / "model")
     model.policy.save(tmp_path / "policy")
-    for kind, name in ((learner, "model"), (type(model.policy), "policy")):
-        other = kind.load(tmp_path / name, device="cpu")
+    others = [learner.load(tmp_path / "model", device="cpu")]
+    others += [
+        type(model.policy).load(tmp_path / "policy", device="cpu"),
+        pickle.loads(pickle.dumps(model.policy)),
+    ]
+    for other in others:
         np.testing.assert_array_equal(other.predict(observation, deterministic=True)[0], expected)
+    model.actor.save(tmp_path / "actor")
+    actors = [model.actor, type(model.actor).load(tmp_path / "actor", device="cpu")]
+    np.testing.assert_array_equal(*(actor.predict(observation, deterministic=True)[0] for actor in actors))

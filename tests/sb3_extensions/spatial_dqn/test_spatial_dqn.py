@@ -299,8 +299,6 @@ def test_expert_data_is_snapped_to_the_grid(make_picking, make_model):
         ({"target_update_interval": 0}, "target_update_interval .* got 0"),
         ({"max_grad_value": 0.0}, "max_grad_value"),
         ({"augmentation": "rad"}, "augmentation .*, got .rad."),
-        ({"pretrain_steps": 5, "expert_episodes": 0}, "demonstrations"),
-        ({"replay_buffer_kwargs": {"image_dtype": "uint16"}}, "image_dtype='uint16', got quantise='uint8'"),
     ],
 )
 def test_invalid_arguments_are_rejected(kwargs, named, make_model):
