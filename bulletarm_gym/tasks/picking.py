@@ -16,7 +16,7 @@ from bulletarm_gym.objects.blocks import CUBE_SIZE
 from bulletarm_gym.objects.containers import BOWL_HEIGHT, CORNER_INSIDE, CORNER_PLATE, CORNER_SIDE
 from bulletarm_gym.scene import ObjectSlot, Scene, scaled
 from bulletarm_gym.scene.predicates import is_empty, is_held, success_at_rest, touching, upright
-from bulletarm_gym.scene.sampling import is_within, sample_until, scatter, stand
+from bulletarm_gym.scene.sampling import is_within, random_yaw, sample_until, scatter, stand
 from bulletarm_gym.tasks.task import Task
 
 REACHED = 0.03
@@ -196,8 +196,7 @@ class CornerPicking(Lift):
 
     Description: a 5 cm cube stands in a corner, next to both of its walls, which are 8 cm high and fixed; the
     fingers do not fit between them and the cube.
-    Randomisation: the corner's position and yaw, the cube with it; with a fixed orientation the walls lie
-    along the axes.
+    Randomisation: the corner's position and yaw, the cube with it; with a fixed orientation the yaw is 0.
     Success: the gripper holds the cube and is higher than ``lift_height``, 15 cm.
     Expert: press the closed gripper on the cube and draw it out of the corner, then as in Block Picking.
     """
@@ -220,9 +219,7 @@ class CornerPicking(Lift):
 
         def draw() -> Pose:
             point = scene.surface.sample_position(rng, CORNER_SIDE / 2.0)
-            if self.config.random_orientation:
-                return scene.surface.pose(point, float(rng.uniform(-math.pi, math.pi)))
-            return scene.surface.pose(point, int(rng.integers(4)) * math.pi / 2.0)
+            return scene.surface.pose(point, random_yaw(scene, rng, math.pi))
 
         pose = sample_until(
             draw, lambda frame: is_within(scene, frame.transform(place.position), block.spec.planar_radius)

@@ -303,7 +303,7 @@ class HouseBuilding4(HouseBuilding3):
 class ImproviseHouseBuilding2(Structure):
     """Put two blocks of random shapes side by side, and the roof on both.
 
-    Description: two of 19 blocks of one layer, 3.6 to 9 cm wide and long, and a roof, 12 x 3 x 3 cm, lie on
+    Description: two of 19 blocks of one layer, 3.6 to 8 cm wide and long, and a roof, 12 x 3 x 3 cm, lie on
     the surface.
     Randomisation: the shapes and sizes of the blocks; positions and yaws, at least 4.2 cm between any two.
     Everything else is as in :class:`~bulletarm_gym.tasks.stacking.Structure`.
@@ -334,7 +334,7 @@ class ImproviseHouseBuilding2(Structure):
 class ImproviseHouseBuilding3(ImproviseHouseBuilding2):
     """Put two blocks of random shapes side by side, a brick of random size on both, and the roof on it.
 
-    Description: two of 19 blocks of one layer, 3.6 to 9 cm wide and long, a brick 2.5 to 3.5 cm wide, 10 to
+    Description: two of 19 blocks of one layer, 3.6 to 8 cm wide and long, a brick 2.5 to 3.5 cm wide, 10 to
     14 cm long and 2 to 3.5 cm high, and a roof, 12 x 3 x 3 cm, lie on the surface.
     Everything else is as in :class:`ImproviseHouseBuilding2`.
     """

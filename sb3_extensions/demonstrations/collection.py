@@ -18,7 +18,7 @@ from sb3_extensions.demonstrations.episodes import Episode
 from sb3_extensions.replay.buffer import SUCCESS
 
 ATTEMPTS_PER_EPISODE = 4
-"""Maximum number of attempts for each successful episode. The paper's experts succeed in 9 of 10 attempts."""
+"""Maximum number of attempts for each successful episode."""
 KEEPS_SCENE = "keeps_scene"
 
 Actions = npt.NDArray[Any]

@@ -188,7 +188,7 @@ class DrQ(RandomWindow):
     The target is the mean over ``K`` views of the next observation. The losses of critic and actor are means
     over ``M`` views of the observation.
 
-    Source: https://arxiv.org/abs/2004.13649; K = M = 2 (BulletArm, appendix "Benchmark Details").
+    Source: https://arxiv.org/abs/2004.13649; K = M = 2 (BulletArm, the authors' code).
 
     :param K: number of views of a next observation
     :param M: number of views of an observation

@@ -19,7 +19,7 @@ Weights = npt.NDArray[np.float32]
 FloatArray = npt.NDArray[np.float64]
 
 MIN_PRIORITY = 1e-6
-"""Added to every priority, so that every step can be sampled (BulletArm, appendix "Benchmark Details")."""
+"""Added to every priority, so that every step can be sampled (BulletArm, the authors' code)."""
 
 
 class UniformSampler:

@@ -112,11 +112,14 @@ def test_success_of_placed_objects(make, name, placed, facts):
         assert env.scene["cube"].pose.z == pytest.approx(0.025, abs=2e-4), "the goal is not an obstacle"
 
 
-def test_fixed_orientation_is_along_y(make):
-    pushing, drawer = (make(task_id(name), **FIXED) for name in ("BlockPushing", "DrawerOpening"))
+def test_orientation_is_fixed(make):
+    """The drawer opens to either side."""
+    names = ("BlockPushing", "DrawerOpening", "CornerPicking")
+    pushing, drawer, corner = envs = [make(task_id(name), **FIXED) for name in names]
     for seed in range(20):
-        for env in (pushing, drawer):
+        for env in envs:
             env.reset(seed=seed)
+        assert corner.scene["corner"].pose.yaw == 0.0
         cube, goal = pushing.scene["cube"].pose, pushing.scene["goal"].pose
         assert cube.x == goal.x and cube.yaw == 0.0 and abs(cube.y - goal.y) >= 0.09
         assert abs(drawer.scene["drawer"].pose.yaw) == pytest.approx(math.pi / 2.0)

@@ -1,5 +1,6 @@
 """Hyperparameters of experiments: the golden file, the paper's numbers, the order of merging, the flags."""
 
+import inspect
 import os
 from collections import UserDict, UserList
 from pathlib import Path
@@ -14,7 +15,7 @@ from bulletarm_gym.benchmarks import BENCHMARKS
 from bulletarm_gym.config import Context, EnvConfig
 from bulletarm_gym.registry import TASKS
 from sb3_extensions.encoders.cnn import plan_stages
-from zoo_configs.algorithms import OTHERS
+from zoo_configs.algorithms import OTHERS, algorithm_classes
 from zoo_configs.cli import main
 from zoo_configs.errors import CommandError
 from zoo_configs.experiments.config import ExperimentConfig, explained_yaml, merge, resolve
@@ -60,6 +61,21 @@ def test_resolved_experiments_equal_the_golden_file():
         GOLDEN_FILE.write_text(text, encoding="utf-8")
         return
     assert found == golden and {names.split()[0] for names in golden} >= CLOSED_LOOP.baselines.keys()
+
+
+def test_the_paper_preset_has_the_default_arguments_of_the_algorithms():
+    """Except for augmentations, and for learners without imitation."""
+    different, empty = set(), inspect.Parameter.empty
+    for names in (names for names in ALL if names[1] == "paper" and names[2] in (PICKING, STACKING)):
+        experiment = resolve(*names)
+        signatures = map(inspect.signature, reversed(algorithm_classes()[experiment.algo].__mro__[:-1]))
+        defaults = {name: value.default for one in signatures for name, value in one.parameters.items()}
+        for name, value in experiment.hyperparams.items():
+            different |= set() if defaults.get(name) in (value, None, empty) else {name}
+    assert different == {"augmentation", "bc_weight"}
+    open_loop = hyperparams_of("sdqfd_fcn", "paper", STACKING)
+    shares = {"expert_fraction": 0.5, "balanced_from": open_loop["batch_size"] // 2}
+    assert open_loop["replay_buffer_kwargs"] == {"sampler": {"shares": shares}}
 
 
 def test_every_experiment_is_valid():
