@@ -176,7 +176,7 @@ class EnvConfig:
     :param random_orientation: sample the initial yaw of objects
     :param half_rotation: limit the yaw of open-loop actions to [0, pi); else it is in [-pi, pi)
     :param in_hand_size: side length (pixels) of the open-loop in-hand image
-    :param workspace_check: ``"point"`` if the centres of objects must stay in the workspace,
+    :param workspace_check: ``"point"`` if the centres of mass of objects must stay in the workspace,
         ``"bounding_box"`` if whole objects must
     :param close_loop_tray: place the task in a tray
     :param object_set: None for the 86 built-in objects, a folder of OBJ, STL or URDF files, or a list of

@@ -183,12 +183,12 @@ class Task(ABC):
         return 0, 1
 
     def _is_inside(self, obj: SceneObject) -> bool:
-        """Return True if an object's centre or bounding box is in the workspace, not below the floor."""
+        """Return True if an object's centre of mass or bounding box is in the workspace, not below the floor."""
         (x0, x1), (y0, y1), (_, top) = self.config.workspace
         if self.config.workspace_check == "bounding_box":
             low, high = obj.bounds.tolist()
         else:
-            low = high = obj.pose.position
+            low = high = obj.centre_of_mass
         inside = x0 <= low[0] and high[0] <= x1 and y0 <= low[1] and high[1] <= y1
         return inside and obj.pose.z >= 0.0 and high[2] <= top
 

@@ -17,7 +17,7 @@ import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import TimeAwareObservation
-from rollouts import PICKING, REACHING, advance, digest, finish, idle, make_env, transcript
+from rollouts import GRASPING, PICKING, REACHING, advance, digest, finish, idle, make_env, transcript
 
 from bulletarm_gym.control import DeltaMove
 from bulletarm_gym.demonstrations import json_state
@@ -147,6 +147,14 @@ def test_bounding_box_is_stricter_than_point(make, check, valid):
     env = make(PICKING, workspace_check=check, seed=0)
     env.scene["cube"].place(Pose((0.59, 0.1, 0.025)))
     assert env.step(idle(env))[4]["is_valid"] is valid
+
+
+def test_point_is_the_centre_of_mass(make):
+    env = make(GRASPING, seed=0)
+    hammer = env.scene["hammer_2"]
+    hammer.place(Pose((0.45, 0.14, 0.02)))
+    assert hammer.centre_of_mass[1] > 0.15 > hammer.pose.position[1]
+    assert not env.task.is_valid(env.scene)
 
 
 def test_form_of_an_action_does_not_matter(typical_env):
