@@ -25,7 +25,20 @@ CALM_STEPS = 24
 
 
 def settle(world: World, bodies: Sequence[Body], limit: int) -> None:
-    """Simulate until bodies rest, at most ``limit`` simulation steps, and read the state.
+    """Simulate until bodies rest, at most about ``limit`` simulation steps, and read the state.
+
+    Bullet never slows some flat blocks that spin. At the limit, bodies that spin on the spot are stopped.
+    """
+    if not _come_to_rest(world, bodies, limit) and (spinning := [*filter(world.spins, bodies)]):
+        for body in spinning:
+            world.stop(body)
+        _come_to_rest(world, bodies, limit // 4)
+    world.end()
+    world.unsettled.clear()
+
+
+def _come_to_rest(world: World, bodies: Sequence[Body], limit: int) -> bool:
+    """Simulate until bodies rest, and return False if the limit is reached before.
 
     A body rests if it is slow in two consecutive steps and does not accelerate, as a tipping body does.
     """
@@ -36,9 +49,8 @@ def settle(world: World, bodies: Sequence[Body], limit: int) -> None:
         calm = calm + 1 if all(speed < REST_SPEED for speed in speeds) else 0
         steady = all(now <= max(old, CREEP_SPEED) for old, now in zip(before, speeds, strict=True))
         if calm > 1 and (steady or calm > CALM_STEPS):
-            break
-    world.end()
-    world.unsettled.clear()
+            return True
+    return False
 
 
 def is_stable(world: World, surface: Surface, bodies: Sequence[Body]) -> bool:

@@ -33,6 +33,10 @@ GRAVITY = -10.0
 """Acceleration (m/s^2) along z."""
 SPHERE_GAP = 0.01
 """Gap (m) between bounding spheres above which bodies are apart. It exceeds Bullet's collision margins."""
+SPIN = 1.0
+"""Angular velocity (rad/s) about the vertical above which a slow body spins on the spot."""
+SPOT_SPEED = 0.1
+"""Speed (m/s) of the centre of mass below which a body stays on the spot."""
 PARKING_HEIGHT = 10.0
 """Height (m) of parked bodies, which are 1 m apart along x, far from all contacts."""
 NEAR = 1e-3
@@ -314,6 +318,15 @@ class World:
         states = self.client.getJointStates(body.id, body.joints) if body.joints else ()
         own = surface_speed(*self.client.getBaseVelocity(body.id)) if body.spec.mass > 0.0 else 0.0
         return float(max(own, *(abs(state[1]) for state in states))) if states else own
+
+    def spins(self, body: Body) -> bool:
+        """Return True if a free body rotates about the vertical, and its centre of mass hardly moves."""
+        linear, angular = self.client.getBaseVelocity(body.id)
+        return body.spec.mass > 0.0 and abs(angular[2]) > SPIN and math.hypot(*linear) < SPOT_SPEED
+
+    def stop(self, body: Body) -> None:
+        """Set the velocity of a free body to 0."""
+        self.client.resetBaseVelocity(body.id, *STILL)
 
     def part_poses(self, body: Body) -> list[Pose]:
         """Return the poses of the meshes of a body and of its moving parts."""

@@ -48,6 +48,17 @@ def test_blocks_are_packed_below_the_rim(make):
         assert env.task.evaluate(env.scene)["is_packed"] is (local not in outside)
 
 
+def test_spinning_block_comes_to_rest(make):
+    env = make(PACKING, num_objects=1, seed=0)
+    block = env.scene["block 0"]
+    block.park()
+    block.variant = 6  # Bullet never slows this shape
+    pose = env.scene["bin"].pose.compose(Pose.planar(0.0, 0.0, 0.0134, 1.0))
+    block.place(pose, ((0.0,) * 3, (0.0, 0.0, 20.0)))
+    _, info = place_while_empty(env)
+    assert info["is_at_rest"] and inside(block, env.scene["bin"])
+
+
 def test_bottles_are_upright_in_the_tray(make):
     env = make(BOTTLES, num_objects=1, seed=0)
     half = env.scene["bottle 0"].spec.extents[2] / 2.0
