@@ -55,6 +55,7 @@ class BlockPushing(Task):
     defaults = TaskDefaults(num_objects=1)
     controls = (CLOSE_LOOP,)
     grasps = False
+    pushes = True
 
     @property
     def _scale(self) -> float:
@@ -109,6 +110,7 @@ class BlockPulling(Task):
     defaults = TaskDefaults(num_objects=2, object_scale=0.8, allowed_objects=(2,))
     controls = (CLOSE_LOOP,)
     grasps = False
+    pushes = True
 
     def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
         return [scaled(config, name, flat_block) for name in ("near block", "far block")]

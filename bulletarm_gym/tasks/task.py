@@ -12,6 +12,7 @@ from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, EnvConfig, TaskDefaults,
 from bulletarm_gym.config_checks import ParameterError, check_argument, instances, truth
 from bulletarm_gym.control import Control, GraspParams
 from bulletarm_gym.experts import Waypoint
+from bulletarm_gym.experts.pick_place import OVERHANG
 from bulletarm_gym.geometry import FloatArray, Footprint, PlacementError, Pose
 from bulletarm_gym.objects.blocks import CUBE_SIZE
 from bulletarm_gym.observations import Overlay
@@ -42,6 +43,8 @@ class Task(ABC):
     """Dataclasses and named tuples in :attr:`memory`, for files of states; plain values need none."""
     grasps: ClassVar[bool] = True
     """Whether the loose objects must fit between the open fingers."""
+    pushes: ClassVar[bool] = False
+    """Whether the fingers push objects at the surface, up to the border of the workspace."""
     instructions: ClassVar[tuple[str, ...]] = ()
     """Sentences that describe the goal, for policies with language inputs; by default the first of the
     docstring, or the class name in words.
@@ -236,6 +239,9 @@ def check_scene(config: EnvConfig, default: EnvConfig, scene: Scene, task: Task)
         base = f"its base at ({model.base.x:g}, {model.base.y:g}) and the line behind it, where it would jump"
         raise ParameterError.of("workspace", config.workspace, f"outside of robot={config.robot!r}: {base}")
     _check_home(config, scene)
+    if task.pushes and config.close_loop_tray and model.gripper.overhang > OVERHANG:
+        reason = "its palm is wider than its fingers and stops at the tray's walls"
+        raise ParameterError.of("close_loop_tray", True, f"False with robot={config.robot!r}: {reason}")
     scale = "object_scale_range"
     name = scale if config.object_set is None else "object_set"
     if config.object_set is not None or (task.grasps and getattr(config, scale) != getattr(default, scale)):

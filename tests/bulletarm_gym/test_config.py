@@ -144,6 +144,7 @@ COMBINATIONS = [
     ("CloseLoopBlockPicking", {"lift_height": 0.12, "workspace": LOW}, "lift_height"),
     ("CloseLoopCornerPicking", {"close_loop_tray": True}, "close_loop_tray"),
     ("CloseLoopObjectGrasping", {"close_loop_tray": False}, "close_loop_tray"),
+    ("CloseLoopBlockPulling", {"close_loop_tray": True, "robot": "panda"}, "close_loop_tray"),
     ("CloseLoopBlockPulling", {"workspace": [[0.36, 0.6], [-0.09, 0.15], [0.01, 0.25]]}, None),
     ("CloseLoopBlockStacking", {"num_objects": 4, "object_scale_range": [0.8, 1.1]}, None),
     ("CloseLoopBlockInBowl", {"object_scale_range": 1.2}, None),
