@@ -186,7 +186,7 @@ class Task(ABC):
         return 0, 1
 
     def _is_inside(self, obj: SceneObject) -> bool:
-        """Return True if an object's centre of mass or bounding box is in the workspace, not below the floor."""
+        """Return True if the centre of mass or bounding box is in the workspace, and not below the floor."""
         (x0, x1), (y0, y1), (_, top) = self.config.workspace
         if self.config.workspace_check == "bounding_box":
             low, high = obj.bounds.tolist()
