@@ -88,6 +88,13 @@ def positive_number(text: str) -> float:
     return value
 
 
+def folder_name(text: str) -> str:
+    """Check that a folder of this name is in its parent."""
+    if text == ".." or Path(text).name != text:
+        raise argparse.ArgumentTypeError(f"must be a name without a path, got {text!r}")
+    return text
+
+
 positive_int = whole_number(1)
 seed = whole_number(0, MAX_SEED)
 

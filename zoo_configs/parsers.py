@@ -13,6 +13,7 @@ from zoo_configs.arguments import (
     add_packages,
     add_progress,
     add_run_filters,
+    folder_name,
     positive_int,
     positive_number,
     seed,
@@ -79,7 +80,7 @@ def parse_tune(argv: Sequence[str]) -> argparse.Namespace:
     add("--n-evaluations", type=positive_int, default=8, help="evaluations of a trial (default: 8)")
     add("--pruner", choices=("median", "none"), default="median", help="default: median")
     add("--storage", help="URL of a database, or a journal file (default: a journal in the study's folder)")
-    add("--study-name", help="default: the baseline and the task")
+    add("--study-name", type=folder_name, help="default: the baseline and the task")
     add_packages(parser)
     add_progress(parser)
     add_options(parser)

@@ -65,6 +65,7 @@ TRAIN -params expert_data:none.h5                                 => none.h5
 TRAIN -params expert_data:3                                       => expert_data
 TRAIN -params env_wrapper:none.Wrapper                            => env_wrapper
 TRAIN -params "policy_kwargs:dict(net_arch="                      => policy_kwargs
+TRAIN --num-threads 100000                                        => '100000'
 TRAIN -params noise_type:red                                      => noise_type
 TRAIN -params noise_type:normal                                   => noise_std
 TRAIN -params normalize:3                                         => normalize
@@ -121,6 +122,7 @@ push nowhere --folder b                                           => nowhere
 push nowhere                                                      => --organization
 push nowhere -orga a --folder b                                   => --folder
 TUNE --env-kwargs view:above                                      => 'view'
+TUNE --study-name ../other                                         => '../other'
 TUNE --device gpu0                                                => 'gpu0'
 TUNE --n-trials 0                                                 => '0'
 TUNE --eval-freq 5                                                => --n-evaluations

@@ -41,7 +41,9 @@ class TrainingOptions:
     vec_env: str = _option(
         "dummy", "all environments in one process, or one process each", choices=("dummy", "subproc")
     )
-    num_threads: int = _option(-1, "threads of PyTorch (default: PyTorch's own number)", type=whole_number(1))
+    num_threads: int = _option(
+        -1, "threads of PyTorch (default: PyTorch's own number)", type=whole_number(1, 1024)
+    )
     trained_agent: str = _option("", "model file to start from", "-i")
     tensorboard_log: str = _option("", "folder for TensorBoard", "-tb")
     track: bool = _option(False, "log to Weights & Biases (set its project by WANDB_PROJECT)")
