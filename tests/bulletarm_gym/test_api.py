@@ -106,10 +106,11 @@ def test_free_object_outside_the_workspace_ends_the_episode(typical_env):
     (_, high), (x, y), side = env.config.workspace[0], env.config.centre, env.config.workspace_size
     env.reset(seed=0)
     state, item = env.get_state(), next(item for item in env.scene if item.spec.mass > 0.0)
+    centre_of_mass = item.spec.mass_properties[0].position
 
     def step_from(*position):
         poses = list(state.world.poses)
-        poses[item.body.index] = Pose(position)
+        poses[item.body.index] = Pose(tuple(np.subtract(position, centre_of_mass).tolist()))
         world = dataclasses.replace(state.world, poses=tuple(poses))
         env.set_state(dataclasses.replace(state, world=world))
         assert env.expert_action() in env.action_space
