@@ -89,7 +89,7 @@ def positive_number(text: str) -> float:
 
 
 def folder_name(text: str) -> str:
-    """Check that a folder of this name is in its parent."""
+    """Parse the name of a folder, without a path."""
     if text == ".." or Path(text).name != text:
         raise argparse.ArgumentTypeError(f"must be a name without a path, got {text!r}")
     return text

@@ -25,13 +25,12 @@ CALM_STEPS = 24
 
 
 def settle(world: World, bodies: Sequence[Body], limit: int) -> None:
-    """Simulate until bodies rest, at most about ``limit`` simulation steps, and read the state.
+    """Simulate until bodies rest, at most ``limit`` simulation steps, and read the state.
 
-    Bullet never slows some flat blocks that spin. At the limit, bodies that spin on the spot are stopped.
+    Bullet never slows some flat blocks that spin. If the limit is reached, bodies that spin on the spot are
+    stopped, and a quarter of the limit is simulated again.
     """
-    if not _come_to_rest(world, bodies, limit) and (spinning := [*filter(world.spins, bodies)]):
-        for body in spinning:
-            world.stop(body)
+    if not _come_to_rest(world, bodies, limit) and world.stop_spins(bodies):
         _come_to_rest(world, bodies, limit // 4)
     world.end()
     world.unsettled.clear()

@@ -319,14 +319,15 @@ class World:
         own = surface_speed(*self.client.getBaseVelocity(body.id)) if body.spec.mass > 0.0 else 0.0
         return float(max(own, *(abs(state[1]) for state in states))) if states else own
 
-    def spins(self, body: Body) -> bool:
-        """Return True if a free body rotates about the vertical, and its centre of mass hardly moves."""
-        linear, angular = self.client.getBaseVelocity(body.id)
-        return body.spec.mass > 0.0 and abs(angular[2]) > SPIN and math.hypot(*linear) < SPOT_SPEED
-
-    def stop(self, body: Body) -> None:
-        """Set the velocity of a free body to 0."""
-        self.client.resetBaseVelocity(body.id, *STILL)
+    def stop_spins(self, bodies: Sequence[Body]) -> bool:
+        """Stop the free bodies that rotate about the vertical on the spot; return True if there is one."""
+        found = False
+        for body in bodies:
+            linear, angular = self.client.getBaseVelocity(body.id)
+            if body.spec.mass > 0.0 and abs(angular[2]) > SPIN and math.hypot(*linear) < SPOT_SPEED:
+                self.client.resetBaseVelocity(body.id, *STILL)
+                found = True
+        return found
 
     def part_poses(self, body: Body) -> list[Pose]:
         """Return the poses of the meshes of a body and of its moving parts."""

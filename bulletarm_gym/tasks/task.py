@@ -241,7 +241,7 @@ def check_scene(config: EnvConfig, default: EnvConfig, scene: Scene, task: Task)
     _check_home(config, scene)
     if task.pushes and config.close_loop_tray and model.gripper.overhang > OVERHANG:
         reason = "its palm is wider than its fingers and stops at the tray's walls"
-        raise ParameterError.of("close_loop_tray", True, f"False with robot={config.robot!r}: {reason}")
+        raise ParameterError.of("close_loop_tray", True, f"False with robot={config.robot!r}", reason)
     scale = "object_scale_range"
     name = scale if config.object_set is None else "object_set"
     if config.object_set is not None or (task.grasps and getattr(config, scale) != getattr(default, scale)):
