@@ -15,11 +15,11 @@ from tqdm import tqdm
 
 from sb3_extensions.common.observations import as_parts
 from sb3_extensions.demonstrations.episodes import Episode
-from sb3_extensions.replay.buffer import SUCCESS
 
 ATTEMPTS_PER_EPISODE = 4
 """Maximum number of attempts for each successful episode."""
 KEEPS_SCENE = "keeps_scene"
+SUCCESS = "is_success"
 
 Actions = npt.NDArray[Any]
 ActionTransform = Callable[[Actions, np.random.Generator], Actions]

@@ -21,7 +21,6 @@ from sb3_extensions.replay.step_table import MIN_RING, Layout, Observations, Row
 GIGABYTE = 1e9
 EXPERT_ACTION = "sb3_extensions.expert_action"
 """Key in the info of a step: the expert's action in the state before the step, in the policy's units."""
-SUCCESS = "is_success"
 
 AnyObservations = npt.NDArray[Any] | Observations
 
@@ -78,7 +77,6 @@ class ExpertReplayBuffer(ReplayBuffer):
         columns: Layout = {
             "action": ((self.action_dim,), np.dtype(self._maybe_cast_dtype(action_space.dtype))),
             "expert_action": ((self.action_dim,), np.float32),  # NaN if unknown
-            "succeeded": ((), np.bool_),
             "reward": ((), np.float32),
             "done": ((), np.float32),
         }
@@ -113,7 +111,6 @@ class ExpertReplayBuffer(ReplayBuffer):
         self.sampler.setup(self.table)
         self._next_obs: Observations | None = None  # observations after the last step of each environment
         self._is_open = np.zeros(self.n_envs, dtype=bool)  # whether an episode has not ended
-        self._episode_rows: list[list[int]] = [[] for _ in range(self.n_envs)]  # of the present episodes
 
     def size(self) -> int:
         """:return: number of steps that can be sampled"""
@@ -155,7 +152,6 @@ class ExpertReplayBuffer(ReplayBuffer):
             rows[:-1],
             action=np.reshape(actions, (-1, self.action_dim)),
             expert_action=np.reshape(intended, (-1, self.action_dim)),
-            succeeded=True,
             reward=rewards,
             done=done,
         )
@@ -176,8 +172,8 @@ class ExpertReplayBuffer(ReplayBuffer):
 
         See Stable-Baselines3's ``ReplayBuffer`` for the other parameters.
 
-        :param infos: ``"TimeLimit.truncated"`` is True if the episode was truncated, ``"is_success"`` if it
-            succeeded. :data:`EXPERT_ACTION` is the expert's action
+        :param infos: ``"TimeLimit.truncated"`` is True if the episode was truncated. :data:`EXPERT_ACTION` is
+            the expert's action
         """
         obs, next_obs = as_parts(obs), as_parts(next_obs)
         done, table = np.asarray(done, dtype=bool), self.table
@@ -195,11 +191,9 @@ class ExpertReplayBuffer(ReplayBuffer):
             rows,
             action=np.asarray(action).reshape(self.n_envs, self.action_dim),
             expert_action=np.stack([np.ravel(info.get(EXPERT_ACTION, unknown)) for info in infos]),
-            succeeded=False,
             reward=reward,
             done=done & ~(timeout & self.handle_timeout_termination),
         )
-        self._mark_successes(rows, starts, done, infos)
         table.heads = np.where(done, table.next(next_rows), next_rows)
         self._next_obs = {key: np.array(values) for key, values in next_obs.items()}
         self._is_open = ~done
@@ -212,22 +206,6 @@ class ExpertReplayBuffer(ReplayBuffer):
             # learn() can reset an environment in the middle of an episode.
             continues &= (obs[key] == latest).reshape(self.n_envs, -1).all(axis=1)
         return continues
-
-    def _mark_successes(
-        self,
-        rows: Rows,
-        starts: npt.NDArray[np.bool_],
-        done: npt.NDArray[np.bool_],
-        infos: list[dict[str, Any]],
-    ) -> None:
-        """Mark the steps of a successful episode."""
-        for env, row in enumerate(rows.tolist()):
-            steps = self._episode_rows[env]
-            if starts[env]:
-                steps.clear()
-            steps.append(row)
-            if done[env]:
-                self.table.columns["succeeded"][steps] = bool(infos[env].get(SUCCESS, False))
 
     def sample(  # type: ignore[override]
         self, batch_size: int, env: VecNormalize | None = None
@@ -266,7 +244,6 @@ class ExpertReplayBuffer(ReplayBuffer):
             weights=self._column(weights),
             indices=batch_inds,
             expert_actions=self.to_torch(columns["expert_action"][batch_inds], copy=False),
-            succeeded=self._column(columns["succeeded"][batch_inds]),
         )
 
     def _observations(self, rows: Rows, env: VecNormalize | None) -> TensorDict | th.Tensor:

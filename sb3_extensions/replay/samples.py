@@ -22,7 +22,6 @@ class ExpertReplayBufferSamples(NamedTuple):
     - ``weights``: importance weights
     - ``indices``: rows of the table, NumPy array of shape (batch,)
     - ``expert_actions``: actions of the expert, NaN if unknown
-    - ``succeeded``: whether the episode succeeded
     """
 
     observations: TensorDict | th.Tensor
@@ -35,7 +34,6 @@ class ExpertReplayBufferSamples(NamedTuple):
     weights: th.Tensor
     indices: Rows
     expert_actions: th.Tensor
-    succeeded: th.Tensor
 
 
 def compute_next_values(

@@ -52,56 +52,32 @@ class UniformSampler:
 @dataclass(eq=False)
 class ShareSampler(UniformSampler):
     """
-    Sample fixed shares of expert steps and of successful online steps.
-
-    The weights correct the oversampling of successes: within the online part of a batch a weighted mean
-    estimates the mean over all online steps. The share of the expert is not corrected.
+    Sample a fixed share of expert steps.
 
     :param expert_fraction: share of expert steps in a batch (BulletArm, appendix "Benchmark Details": 0.5 in
         open loop)
-    :param success_fraction: maximum share of online steps of successful episodes. Such a step is sampled at
-        most as often as an expert step
-    :param balanced_from: minimum number of expert steps and of online steps for these shares. With fewer
-        steps, all steps are sampled with equal probability
+    :param balanced_from: minimum number of expert steps and of online steps for this share. With fewer steps,
+        all steps are sampled with equal probability
     :raises ValueError: if an argument is out of its range
     """
 
     expert_fraction: float = 0.5
-    success_fraction: float = 0.0
     balanced_from: int = 1
 
     def __post_init__(self) -> None:
-        check_fraction(expert_fraction=self.expert_fraction, success_fraction=self.success_fraction)
-        if self.expert_fraction + self.success_fraction > 1:
-            raise ValueError(
-                "expert_fraction + success_fraction must be at most 1, got "
-                f"{self.expert_fraction} + {self.success_fraction}"
-            )
+        check_fraction(expert_fraction=self.expert_fraction)
         check_integer(1, balanced_from=self.balanced_from)
 
     def sample(self, batch_size: int, rng: np.random.Generator) -> tuple[Rows, Weights]:
-        """Return sampled rows and importance weights."""
-        valid, succeeded = self.valid_rows, self.table.columns["succeeded"]
+        """Return sampled rows and importance weights, which are 1."""
+        valid = self.valid_rows
         expert, online = np.split(valid, [np.searchsorted(valid, self.table.n_pinned)])
         if min(len(expert), len(online)) < self.balanced_from:
             return super().sample(batch_size, rng)
-        successes = online[succeeded[online]]
         from_expert = round(batch_size * self.expert_fraction)
-        from_successes = round(batch_size * self.success_fraction)
-        if from_successes:
-            # A success is sampled on average at most as often as an expert step.
-            limit = from_expert * len(successes) / len(expert)
-            from_successes = min(from_successes, int(limit + rng.random()))
-        uniform = batch_size - from_expert - from_successes
-        parts = ((expert, from_expert), (online, uniform), (successes, from_successes))
-        rows = np.concatenate([part[rng.integers(max(1, len(part)), size=n)] for part, n in parts])
-        # Expected number of draws under uniform sampling over that under this sampling
-        draws = np.full(batch_size - from_expert, uniform / len(online))
-        if from_successes:
-            draws += succeeded[rows[from_expert:]] * (from_successes / len(successes))
-        weights = np.ones(batch_size, dtype=np.float32)
-        weights[from_expert:] = (uniform + from_successes) / len(online) / draws
-        return rows, weights
+        parts = ((expert, from_expert), (online, batch_size - from_expert))
+        rows = np.concatenate([part[rng.integers(len(part), size=n)] for part, n in parts])
+        return rows, np.ones(batch_size, dtype=np.float32)
 
 
 @dataclass(eq=False)

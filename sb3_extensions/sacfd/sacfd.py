@@ -15,19 +15,26 @@ from stable_baselines3.sac.policies import LOG_STD_MAX, LOG_STD_MIN, SACPolicy
 from stable_baselines3.sac.sac import SAC
 from torch import nn
 
-from sb3_extensions.common.components import (
-    check_fraction,
-    check_integer,
-    check_not_negative,
-    check_positive,
-)
+from sb3_extensions.common.components import check_integer, check_not_negative
 from sb3_extensions.demonstrations.collection import ActionTransform, add_noise
 from sb3_extensions.demonstrations.off_policy import Logs, OffPolicyFromDemonstrations
 from sb3_extensions.demonstrations.validation import ExpertData
 from sb3_extensions.replay.rotation import AugmentationSpec
 from sb3_extensions.replay.samples import ExpertReplayBufferSamples, compute_next_values
-from sb3_extensions.sacfd.losses import imitation_loss, self_imitation_weights
 from sb3_extensions.sacfd.policies import EquivariantPolicy, MultiInputPolicy, SACfDPolicy, StatePolicy
+
+
+def imitation_loss(actions: th.Tensor, expert_actions: th.Tensor) -> th.Tensor:
+    """
+    Mean squared error of actions to the expert's actions, over the steps with a known expert action.
+
+    :param actions: sampled actions of the actor in the policy's units, (batch, action dimensions)
+    :param expert_actions: NaN if unknown, (batch, action dimensions)
+    :return: a scalar, 0 without expert actions
+    """
+    known = expert_actions.isfinite().all(dim=1, keepdim=True)
+    errors = (actions - th.where(known, expert_actions, actions)).pow(2).mean(dim=1)
+    return errors.sum() / known.sum().clamp(min=1)
 
 
 class SACfD(OffPolicyFromDemonstrations, SAC):
@@ -68,14 +75,6 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
         They update the actor alone, by the imitation term. Source: https://arxiv.org/abs/1709.10087
     :param critic_warmup_steps: number of the last ``pretrain_steps`` that update everything (own addition,
         compare the warm-up of https://arxiv.org/abs/2412.07762). None for all of them
-    :param bc_limit: imitated actions are clipped to [-bc_limit, bc_limit], because the mean of a squashed
-        Gaussian grows without bound towards 1 (own addition)
-    :param expert_q_weight: weight of the critic's value in the actor's loss at expert steps; 1 at the other
-        steps. With 0 the actor only imitates there (own addition)
-    :param self_imitation_temperature: temperature with which the actor also imitates the agent's successes,
-        see :func:`~sb3_extensions.sacfd.losses.self_imitation_weights`. None for the expert alone
-    :param backup_entropy: whether the critic's target includes the entropy of the next action. Source of
-        False: https://arxiv.org/abs/2302.02948
     :raises ValueError: if an argument is out of its range, there is pretraining without demonstrations or
         without ``bc_weight``, or replay buffer and policy round images differently
     """
@@ -113,10 +112,6 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
         expert_noise: float = 0.0,
         pretrain_steps: int = 0,
         critic_warmup_steps: int | None = 0,
-        bc_limit: float = 1.0,
-        expert_q_weight: float = 1.0,
-        self_imitation_temperature: float | None = None,
-        backup_entropy: bool = True,
         stats_window_size: int = 100,
         tensorboard_log: str | None = None,
         policy_kwargs: dict[str, Any] | None = None,
@@ -158,10 +153,6 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
         self.expert_noise = expert_noise
         self.pretrain_steps = pretrain_steps
         self.critic_warmup_steps = critic_warmup_steps
-        self.bc_limit = bc_limit
-        self.expert_q_weight = expert_q_weight
-        self.self_imitation_temperature = self_imitation_temperature
-        self.backup_entropy = backup_entropy
         self._check_arguments()
 
         if _init_setup_model:
@@ -169,8 +160,7 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
 
     def _check_arguments(self) -> None:
         self._check_demonstrations()
-        check_not_negative(bc_weight=self.bc_weight, expert_q_weight=self.expert_q_weight)
-        check_not_negative(expert_noise=self.expert_noise)
+        check_not_negative(bc_weight=self.bc_weight, expert_noise=self.expert_noise)
         check_integer(0, critic_warmup_steps=self._warmup_steps)
         check_integer(1, target_update_interval=self.target_update_interval)
         if self.bc_weight == 0 and self.pretrain_steps > self._warmup_steps:
@@ -178,9 +168,6 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
                 "critic_warmup_steps must be None or at least pretrain_steps with bc_weight=0, got "
                 f"{self.critic_warmup_steps}"
             )
-        check_fraction(bc_limit=self.bc_limit)
-        if self.self_imitation_temperature is not None:
-            check_positive(self_imitation_temperature=self.self_imitation_temperature)
 
     def _setup_model(self) -> None:
         super()._setup_model()
@@ -240,15 +227,10 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
             q_values_pi = self._q_values(self.critic, features.detach(), actions_pi)
             heads.requires_grad_(True)
             min_q_pi = self._min_q(q_values_pi)
-            q_weights = th.where(replay_data.is_expert, self.expert_q_weight, 1.0)
-            actor_loss = (ent_coef * log_prob - q_weights * min_q_pi).mean()
+            actor_loss = (ent_coef * log_prob - min_q_pi).mean()
             logs["actor_loss"].append(actor_loss.detach())
             if self.bc_weight > 0:
-                advantages = (self._mean_q(q_values) - self._mean_q(q_values_pi)).detach()
-                weights = self_imitation_weights(
-                    advantages, replay_data.succeeded, self.self_imitation_temperature
-                )
-                bc_loss = imitation_loss(actions_pi, replay_data, weights, self.bc_limit)
+                bc_loss = imitation_loss(actions_pi, replay_data.expert_actions)
                 actor_loss = actor_loss + self.bc_weight * bc_loss
                 logs["bc_loss"].append(bc_loss.detach())
 
@@ -293,7 +275,7 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
         logs: Logs = defaultdict(list)
         replay_data = self._sample(self.batch_size, logs)
         actions_pi, _ = self._action_log_prob(self._features(self.actor, replay_data.observations))
-        bc_loss = imitation_loss(actions_pi, replay_data, th.zeros_like(replay_data.rewards), self.bc_limit)
+        bc_loss = imitation_loss(actions_pi, replay_data.expert_actions)
         self.actor.optimizer.zero_grad()
         (self.bc_weight * bc_loss).backward()
         self.actor.optimizer.step()
@@ -361,10 +343,8 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
         next_actions, next_log_prob = self._action_log_prob(self._features(self.actor, next_observations))
         features = self._features(self.critic_target, next_observations)
         next_q_values = self._target_values(self._q_values(self.critic_target, features, next_actions))
-        if self.backup_entropy:
-            # add entropy term
-            next_q_values = next_q_values - ent_coef * next_log_prob
-        return next_q_values
+        # add entropy term
+        return next_q_values - ent_coef * next_log_prob
 
     def _q_values(self, critic: Any, features: th.Tensor, actions: th.Tensor) -> Any:
         """Return the outputs of the heads of a critic, one entry a head."""
@@ -385,10 +365,6 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
         td_errors = [values - targets for values in q_values]
         loss = 0.5 * th.stack([(weights * error.pow(2)).mean() for error in td_errors]).sum()
         return loss, th.stack(td_errors).detach().abs().mean(dim=0)
-
-    def _mean_q(self, q_values: Any) -> th.Tensor:
-        """Return values to compare actions by, (batch, 1). Heads differ more far from the data."""
-        return th.cat(q_values, dim=1).mean(dim=1, keepdim=True)
 
     def _min_q(self, q_values: Any) -> th.Tensor:
         """Return the values that the actor maximises, (batch, 1)."""

@@ -78,9 +78,6 @@ class TQCfD(SACfD):
         td_errors = (q_values.detach().mean(dim=2) - targets.mean(dim=1, keepdim=True)).abs()
         return (weights * losses[:, None]).mean(), td_errors.mean(dim=1, keepdim=True)
 
-    def _mean_q(self, q_values: Any) -> th.Tensor:
-        return self._min_q(q_values)
-
     def _min_q(self, q_values: Any) -> th.Tensor:
         # Mean over the quantiles of all critics
         values: th.Tensor = q_values.mean(dim=2).mean(dim=1, keepdim=True)

@@ -11,7 +11,6 @@ from sb3_extensions.ferm import FERM
 from sb3_extensions.replay.augmentation import RAD
 from sb3_extensions.replay.buffer import ExpertReplayBuffer
 from sb3_extensions.sacfd import SACfD
-from sb3_extensions.sacfd.losses import imitation_loss, self_imitation_weights
 from sb3_extensions.tqcfd import TQCfD
 
 
@@ -64,7 +63,7 @@ def test_without_imitation_it_is_the_stock_algorithm(learner, stock, make_toy):
     "kwargs",
     [
         {"n_steps": 2},
-        {"n_steps": 2, "backup_entropy": False, "ent_coef": 0.3},
+        {"n_steps": 2, "ent_coef": 0.3},
         {"expert_episodes": 0},
         {"augmentation": {"drq": {"K": 3, "M": 2, "pad": 1}}},
         {"augmentation": {"rad": {"size": 15}}},
@@ -105,7 +104,7 @@ def test_losses_equal_a_slow_reference(kwargs, make_learner):
     for b in range(16):
         y = sample.rewards[b].item()
         for k in (row[b + 16 * k] for k in range(k_views) if continues[b]):
-            entropy = alpha * next_log_prob[k].item() * model.backup_entropy
+            entropy = alpha * next_log_prob[k].item()
             y += sample.discounts[b].item() * (next_q[k].item() - entropy) / k_views
         for view, head in np.ndindex(m_views, 2):
             error = q[head, view * 16 + b, 0] - y
@@ -138,24 +137,6 @@ def test_the_target_follows_after_so_many_updates(gradient_steps, make_learner):
     assert sum(moves) == 2
 
 
-def test_imitation_equals_a_slow_reference(make_learner):
-    model = make_learner(learning_starts=60).learn(60)
-    sample = model.replay_buffer.sample(64)
-    sample = sample._replace(succeeded=sample.is_expert | (th.arange(64) % 2 == 0)[:, None])
-    advantages, actions = th.linspace(-1, 1, 64)[:, None], th.rand(64, 5) * 2 - 1
-    weights = self_imitation_weights(advantages, sample.succeeded, 0.2)
-    total = count = 0.0
-    for k in range(64):
-        weight = float(np.exp(min(advantages[k].item() / 0.2, 0.0))) if sample.succeeded[k] else 0.0
-        np.testing.assert_allclose(weights[k], weight, rtol=1e-5)
-        weight = 1.0 if sample.is_expert[k] else weight
-        error = (actions[k].numpy() - np.clip(sample.actions[k].numpy(), -0.9, 0.9)) ** 2
-        total, count = total + weight * error.mean(), count + weight
-    assert 0 < count < 64
-    np.testing.assert_allclose(imitation_loss(actions, sample, weights, 0.9), total / count, rtol=1e-5)
-    assert not self_imitation_weights(advantages, sample.succeeded, None).any()
-
-
 @pytest.mark.parametrize(("warmup", "networks"), [(0, set()), (3, {"critic", "critic_target"})])
 def test_pretraining_updates_the_actor_and_the_warm_up_everything(warmup, networks, make_learner):
     before = parameters(make_learner())
@@ -165,16 +146,6 @@ def test_pretraining_updates_the_actor_and_the_warm_up_everything(warmup, networ
     model.learn(1, reset_num_timesteps=False)
     assert (model._n_updates, model.replay_buffer.expert_size) == (5, size)  # not again
     assert model.replay_buffer.size() == size + 2
-
-
-def test_the_critic_has_no_effect_on_the_actor_at_expert_steps_with_weight_0(make_learner):
-    def pretrained(**kwargs):
-        settings = {"pretrain_steps": 20, "critic_warmup_steps": None, "ent_coef": 0.0}
-        return parameters(make_learner(learning_starts=9, **settings, **kwargs).learn(1).actor)
-
-    imitated = pretrained(expert_q_weight=0.0)
-    assert not moved(imitated, pretrained(expert_q_weight=0.0, gamma=0.1))
-    assert moved(imitated, pretrained())
 
 
 def test_dagger_queries_the_expert_before_every_step(make_toy, make_learner):
@@ -193,20 +164,13 @@ def test_dagger_queries_the_expert_before_every_step(make_toy, make_learner):
     np.testing.assert_allclose(following[within], left[within], atol=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("kwargs", "additions", "steps"),
-    [
-        ({"expert_episodes": 0, "learning_starts": 400}, {"self_imitation_temperature": 0.1}, 410),
-        ({"expert_episodes": 1, "learning_starts": 20}, {"callback": DaggerCallback()}, 25),
-    ],
-    ids=["self-imitation", "dagger"],
-)
-def test_online_steps_are_imitated(kwargs, additions, steps, make_learner):
-    kwargs["replay_buffer_kwargs"] = {"sampler": {"shares": {"expert_fraction": 0.0}}}
+def test_online_steps_are_imitated_with_dagger_only(make_learner):
+    sampler = {"shares": {"expert_fraction": 0.0}}
     losses = []
-    for more in ({}, dict(additions)):
-        callback = more.pop("callback", None)
-        model = make_learner(**kwargs, **more).learn(steps, callback=callback)
+    for callback in (None, DaggerCallback()):
+        model = make_learner(
+            expert_episodes=1, learning_starts=20, replay_buffer_kwargs={"sampler": sampler}
+        ).learn(25, callback=callback)
         losses.append(model.logger.name_to_value["train/bc_loss"])
     assert losses[0] == 0.0 < losses[1]
 

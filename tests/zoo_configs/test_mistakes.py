@@ -197,7 +197,7 @@ def test_a_missing_package_is_named(refuse, monkeypatch):
 
 
 def test_a_learner_that_cannot_be_built_leaves_nothing(refuse):
-    more = ["expert_episodes:0", "pretrain_steps:0", "n_envs:1", "learning_starts:0", "tau:1", "bc_limit:x"]
+    more = ["expert_episodes:0", "pretrain_steps:0", "n_envs:1", "learning_starts:0", "tau:1", "ent_coef:x"]
     refuse(*TRAIN.split(), "-n", "20", "--eval-freq", "0", "-params", *more)
 
 

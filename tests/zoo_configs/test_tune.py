@@ -167,7 +167,7 @@ def test_the_first_trial_of_every_experiment_is_the_baseline():
         trial.set_user_attr(BASELINE, True)
         assert sample_params(experiment, space, trial) == {}
         imitates = experiment.hyperparams.get("bc_weight", 0) != 0
-        assert imitates == ("bc_weight" in first) == ("bc_limit" in first), names
+        assert imitates == ("bc_weight" in first), names
 
 
 def test_sampled_values_replace_those_of_the_baseline():
@@ -199,7 +199,6 @@ def test_values_of_the_command_line_are_not_searched():
     [
         ("{pretrain_steps: {choices: [0, 4]}}", 3, ("3", (3, 0, 4))),
         ("{bc_weight: {choices: [10.0, 30.0]}}", 30, ("30.0", (10.0, 30.0))),
-        ("{backup_entropy: {choices: [true, false]}}", 1, ("1", (1, True, False))),
         ("{learning_rate: {choices: [1e-4, 1e-3]}}", 0.001, ("0.001", (1e-4, 1e-3))),
         ("{tau: {low: 1e-2, high: 1e-1}}", 0.005, (0.005, ())),
     ],

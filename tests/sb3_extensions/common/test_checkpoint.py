@@ -69,10 +69,7 @@ def assert_equal_trees(first, second):
         np.testing.assert_array_equal(ours, theirs)
 
 
-SELF_IMITATING = {
-    "replay_buffer_kwargs": {"sampler": {"shares": {"success_fraction": 0.2}}},
-    "self_imitation_temperature": 0.1,
-}
+SHARES = {"replay_buffer_kwargs": {"sampler": {"shares": {"expert_fraction": 0.3}}}}
 
 
 @pytest.mark.parametrize(
@@ -80,7 +77,7 @@ SELF_IMITATING = {
     [
         (2, {"action_noise": NormalActionNoise(np.zeros(5), np.full(5, 0.1)), "learning_starts": 20}),
         (2, {"replay_buffer_kwargs": {"sampler": "prioritized"}, "augmentation": "rotation", "n_steps": 2}),
-        (1, {"learner": TQCfD, "policy": "EquivariantPolicy", "augmentation": "drq", **SELF_IMITATING}),
+        (1, {"learner": TQCfD, "policy": "EquivariantPolicy", "augmentation": "drq", **SHARES}),
         (2, {"learner": FERM, "augmentation": {"rotation": {}, "rad": {"size": 12}}}),
     ],
 )

@@ -29,9 +29,9 @@ def observations(seed):
 
 
 def samples():
-    columns = [th.arange(BATCH, dtype=th.float32)[:, None] + 10 * k for k in range(8)]
+    columns = [th.arange(BATCH, dtype=th.float32)[:, None] + 10 * k for k in range(7)]
     return ExpertReplayBufferSamples(
-        observations(0), columns[0], observations(1), *columns[1:6], np.arange(BATCH), *columns[6:]
+        observations(0), columns[0], observations(1), *columns[1:6], np.arange(BATCH), columns[6]
     )
 
 

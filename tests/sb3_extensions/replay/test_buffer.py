@@ -43,7 +43,6 @@ class Step(NamedTuple):
     action: np.ndarray
     terminated: bool
     done: bool
-    success: bool
 
 
 class Player:
@@ -61,10 +60,9 @@ class Player:
         done = terminated | truncated
         rewards = self.rng.random(n_envs, dtype=np.float32)
         actions = self.rng.uniform(-1, 1, (n_envs, 3)).astype(np.float32)
-        success = done & (rewards > 0.5)
-        infos = [{"TimeLimit.truncated": t, "is_success": s} for t, s in zip(truncated, success, strict=True)]
+        infos = [{"TimeLimit.truncated": value} for value in truncated]
         self.buffer.add(observe(self.numbers), observe(self.numbers + 1), actions, rewards, done, infos)
-        columns = (self.numbers, rewards, actions, terminated, done, success)
+        columns = (self.numbers, rewards, actions, terminated, done)
         for steps, *values in zip(self.steps, *columns, strict=True):
             steps.append(Step(*values))
         self.numbers = self.numbers + 1 + done  # the next episode begins with another observation
@@ -114,7 +112,6 @@ def test_samples_equal_a_slow_reference(sampler, n_envs, n_steps):
         "dones": [[steps[-1].terminated] for steps in episodes],
         "rewards": [[sum(GAMMA**k * step.reward for k, step in enumerate(steps))] for steps in episodes],
         "discounts": [[GAMMA ** len(steps)] for steps in episodes],
-        "succeeded": [[kept[number][-1].success] for number in observed],
     }
     for name, values in expected.items():
         np.testing.assert_allclose(getattr(samples, name), values, rtol=1e-5, err_msg=name)
@@ -246,12 +243,11 @@ def make_numbered_buffer(n_expert, size=400, **kwargs):
     return buffer
 
 
-def play(buffer, n_steps=1, success=False):
+def play(buffer, n_steps=1):
     """Add online episodes of one step."""
     for _ in range(n_steps):
         obs = np.full((1, 1), 1000 + buffer.size(), np.float32)
-        info = {"is_success": success}
-        buffer.add(obs, obs, np.zeros((1, 1)), np.full(1, float(success)), np.ones(1, bool), [info])
+        buffer.add(obs, obs, np.zeros((1, 1)), np.zeros(1), np.ones(1, bool), [{}])
 
 
 @pytest.mark.parametrize(
@@ -269,25 +265,6 @@ def test_shares_apply_from_balanced_from_steps(options, n_expert, first):
         samples, others = divided.sample(BATCH), uniform.sample(BATCH)
         assert np.array_equal(samples.indices, others.indices) == (online < first)
         assert online < first or samples.is_expert.sum() == BATCH // 2
-
-
-@pytest.mark.parametrize("successes, share", [(0, 0.0), (8, 0.2), (40, 0.4)])
-def test_successes_are_sampled_at_most_as_often_as_expert_steps(successes, share):
-    """Weights correct their share: the weighted mean over online steps is the mean over all online steps."""
-    sampler = {"shares": {"expert_fraction": 0.5, "success_fraction": 0.4}}
-    buffer = make_numbered_buffer(20, sampler=sampler)
-    play(buffer, successes, success=True)
-    play(buffer, 80 - successes)
-    samples = buffer.sample(20_000)
-    online = ~samples.is_expert
-    among_all = (1.0 - 0.5 - share) * successes / 80
-    assert samples.is_expert.float().mean().item() == 0.5
-    assert (samples.succeeded & online).float().mean().item() == pytest.approx(share + among_all, abs=0.01)
-    assert (samples.weights[samples.is_expert] == 1).all()
-    weights = samples.weights[online]
-    total = (weights * samples.succeeded[online]).sum().item() / weights.sum().item()
-    assert total == pytest.approx(successes / 80, rel=0.08)
-    assert weights.mean().item() == pytest.approx(1.0, rel=0.03)
 
 
 @pytest.fixture(params=[0.0, 0.6])
