@@ -15,7 +15,7 @@ from tqdm import tqdm
 from zoo_configs.agents import Agent
 from zoo_configs.environments import SeedStream, stream_seed, tried_env
 from zoo_configs.errors import CommandError, refused
-from zoo_configs.training.objects import build_vec_env
+from zoo_configs.training.objects import build_vec_env, parsed
 
 
 @dataclass(frozen=True)
@@ -110,5 +110,8 @@ def check_fits(env: Any, agent: Agent) -> None:
 
 def check_unwrapped(hyperparams: Mapping[str, Any], names: tuple[str, ...], reason: str) -> None:
     """Raise ``CommandError``, ending in ``reason``, if one of some hyperparameters is set."""
+    normalize = parsed({"normalize": hyperparams.get("normalize")})["normalize"]
+    if isinstance(normalize, Mapping) and not normalize.get("norm_obs", True):  # it changes rewards alone
+        hyperparams = {**hyperparams, "normalize": False}
     if wrapped := [name for name in names if hyperparams.get(name)]:
         raise CommandError(f"the agent was trained with {', '.join(wrapped)}, {reason}")

@@ -230,6 +230,7 @@ def check_updates(baseline, run):
 
 
 SHORTER = "{gymnasium.wrappers.TimeLimit: {max_episode_steps: 3}}"
+WRAPPERS = [f"env_wrapper:[toy_env.without_holding, {SHORTER}]", "normalize:{norm_obs: false}"]
 BUFFER = "rollout_buffer_class:stable_baselines3.common.buffers.DictRolloutBuffer"
 
 
@@ -240,7 +241,7 @@ BUFFER = "rollout_buffer_class:stable_baselines3.common.buffers.DictRolloutBuffe
         (
             "ppo",
             "TOY",
-            ["obs_size:48", "-params", "n_steps:8", "batch_size:8", BUFFER, f"env_wrapper:{SHORTER}"],
+            ["obs_size:48", "-params", "n_steps:8", "batch_size:8", BUFFER, *WRAPPERS],
         ),
         ("ppo_lstm", "Pendulum-v1", ["g:9.0", "-params", "n_steps:8", "batch_size:8"]),
     ],
@@ -252,6 +253,8 @@ def test_a_stock_algorithm_trains(algo, env_id, parameters, toy_id, tmp_path, ca
     assert main(["enjoy", *named, "-n", "1", "--no-progress"]) == 0
     reported = "success_rate=" if env_id == "TOY" else "mean_return=-"
     assert capsys.readouterr().out.splitlines()[-1].startswith(reported)
+    if env_id == "TOY":
+        assert main(["record", *named, "-n", "1", "-o", str(tmp_path / "toy.gif"), "--no-progress"]) == 0
     [run] = find_runs(tmp_path)
     for path in run.folder.glob("*.monitor.csv"):  # a copied folder need not have them
         path.unlink()

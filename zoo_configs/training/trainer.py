@@ -21,7 +21,7 @@ from zoo_configs.errors import CommandError, reason, refused
 from zoo_configs.experiments.validation import policy_class
 from zoo_configs.training.certificate import Certificate
 from zoo_configs.training.evaluation import PeriodicEvaluation, TrainingLog
-from zoo_configs.training.objects import NOISES, TRAINER_KEYS, build_vec_env, described_classes, parsed
+from zoo_configs.training.objects import NOISES, TRAINER_KEYS, build_vec_env, described_callables, parsed
 from zoo_configs.training.runs import Run, cut_monitor_files, env_folder_name
 
 REJECTIONS = (AssertionError, MemoryError, RuntimeError, TypeError, ValueError)
@@ -120,7 +120,7 @@ class Trainer:
 
     def _callbacks(self) -> list[BaseCallback]:
         """Build the callbacks of the hyperparameters, then progress bar, log, evaluation and checkpoints."""
-        options, described = self.options, described_classes(self.hyperparams.get("callback"))
+        options, described = self.options, described_callables(self.hyperparams.get("callback"))
         found: list[BaseCallback] = [cls(**kwargs) for cls, kwargs in described]
         if self.progress:
             found.append(TrainingBar())
