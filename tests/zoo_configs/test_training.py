@@ -29,6 +29,7 @@ from zoo_configs.environments import register_environments
 from zoo_configs.errors import CommandError
 from zoo_configs.experiments.config import ExperimentConfig, resolve
 from zoo_configs.files import write_yaml
+from zoo_configs.training.objects import build_vec_env
 from zoo_configs.training.options import TrainingOptions
 from zoo_configs.training.runs import find_runs, load_run
 from zoo_configs.training.state import State
@@ -259,6 +260,14 @@ def test_a_stock_algorithm_trains(algo, env_id, parameters, toy_id, tmp_path, ca
     for path in run.folder.glob("*.monitor.csv"):  # a copied folder need not have them
         path.unlink()
     assert main(["train", "--resume", str(run.folder), "-n", "16", "--no-progress"]) == 0
+
+
+def test_frames_are_stacked_as_channels(toy_id):
+    env = build_vec_env(toy_id, {"frame_stack": 2, "env_kwargs": {"obs_size": 48}}, 1, 0)
+    assert {name: space.shape for name, space in env.observation_space.items()} == {
+        "heightmap": (2, 48, 48),
+        "holding": (2,),
+    }
 
 
 MODULE, OWN_ID = "my_own_tasks", "BulletArm/CloseLoopOwnReaching-v0"

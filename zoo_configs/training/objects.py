@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
 import torch as th
 from stable_baselines3 import HerReplayBuffer
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -143,8 +144,15 @@ def build_vec_env(
     env = wrapped(env, values.get("vec_env_wrapper"))
     env = _normalized(env, values, for_evaluation, statistics)
     if values.get("frame_stack"):
-        env = VecFrameStack(env, values["frame_stack"])
+        env = VecFrameStack(env, values["frame_stack"], _channels_order(env.observation_space))
     return BaseAlgorithm._wrap_env(env, verbose=0, monitor_wrapper=False)  # images with the channels first
+
+
+def _channels_order(space: Any) -> Any:
+    """Return the ``channels_order`` of ``VecFrameStack``, which recognises images of uint8 only."""
+    if isinstance(space, gym.spaces.Dict):
+        return {name: _channels_order(part) for name, part in space.items()}
+    return "first" if len(space.shape) == 3 and space.dtype != np.uint8 else None
 
 
 def _normalized(
