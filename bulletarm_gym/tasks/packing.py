@@ -74,6 +74,7 @@ class BinPacking(Task):
         num_objects=8,
         max_steps=20,
         object_scale=0.8,
+        scales=(0.4, 0.82),  # a layer of six long blocks fills the bin
         allowed_objects=tuple(range(1, 9)),
         no_tray="the bin and its blocks do not fit into the tray",
         close_loop={"max_steps": 200, "workspace": WIDE},
@@ -117,7 +118,7 @@ class BinPacking(Task):
             return
         outside = [block for block in blocks if not self._is_in_bin(scene, block)] or blocks
         free = [block for block in outside if is_top(block, blocks)] or outside
-        yield pick(scene, max(free, key=lambda block: math.prod(block.spec.extents)), rng)
+        yield pick(scene, max(free, key=lambda block: math.prod(block.spec.extents)), rng, OPENING)
 
     def _is_in_bin(self, scene: Scene, block: SceneObject) -> bool:
         rise = block.pose.z - scene["bin"].pose.z
@@ -232,6 +233,7 @@ class BottleArrangement(Task):
         num_objects=6,
         max_steps=20,
         object_scale=0.8,
+        scales=(0.4, 0.85),  # six bottles fill the tray
         allowed_objects=tuple(range(1, 7)),
         no_tray="the bottles and their own tray do not fit into the tray",
         level_ground="bottles fall over on a slope",
