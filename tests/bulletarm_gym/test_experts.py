@@ -41,6 +41,13 @@ def test_expert_solves_under_other_parameters(make, typical_id, parameters):
     solve(make(typical_id, **parameters, **few))
 
 
+def test_long_blocks_of_structures_stay_inside_the_workspace(make):
+    env = make("BulletArm/OpenLoopHouseBuilding4-v0", workspace_check="bounding_box")
+    for seed in (2, 7):
+        env.reset(seed=seed)
+        assert finish(env)[0]
+
+
 SMALLEST = {"workspace": [[0.4, 0.44], [-0.02, 0.02], [0.005, 0.12]], "object_scale_range": 0.3}
 """The smallest workspace, and a cube of 1.5 cm."""
 
