@@ -69,7 +69,6 @@ class TaskDefaults:
     :param num_objects: the paper's number
     :param max_steps: the paper's limit
     :param object_scale: scale that gives the paper's sizes
-    :param scales: lowest and highest accepted scale, for objects that must fit other ones of fixed size
     :param allowed_objects: accepted values of ``num_objects``
     :param needs_tray: why the task cannot be placed outside a tray, or empty if it can
     :param no_tray: why the task cannot be placed in a tray, or empty if it can
@@ -83,7 +82,6 @@ class TaskDefaults:
     num_objects: int
     max_steps: int = 50
     object_scale: float = 1.0
-    scales: tuple[float, float] = (0.0, checks.MAX_SCALE)
     allowed_objects: tuple[int, ...] = (1,)
     needs_tray: str = ""
     no_tray: str = ""
@@ -97,7 +95,7 @@ class TaskDefaults:
         allowed = checks.instances(int, "integers", can_be_empty=False)
         sensors = checks.instances(str, "names of sensors")
         fields = {"allowed_objects": allowed, "sensors": sensors, "close_loop": checks.mapping}
-        checks.check_fields(self, {**fields, "scales": checks.numbers("non-negative", 2)})
+        checks.check_fields(self, fields)
 
 
 @dataclass(frozen=True)
@@ -210,9 +208,7 @@ class EnvConfig:
         checks.workspace, Depends(lambda c: WORKSPACES[c.control]), "scene"
     )
     object_scale_range: list[float] = parameter(
-        Depends(lambda c: checks.scale_range(*c.task.scales)),
-        Depends(lambda c: [c.task.object_scale] * 2),
-        "scene",
+        checks.scale_range, Depends(lambda c: [c.task.object_scale] * 2), "scene"
     )
     max_steps: int = parameter(checks.integer(1), Depends(lambda c: c.task.max_steps), "episode")
     num_objects: int = parameter(

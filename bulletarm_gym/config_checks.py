@@ -189,15 +189,6 @@ def interval(low: float, high: float) -> Check:
     )
 
 
-def scale_range(low: float, high: float) -> Check:
-    """Accept positive numbers and [low, high] between limits, both included; return [low, high]."""
-    return rule(
-        f"a positive number or [low, high], from {low:g} to {high:g} with this task",
-        lambda ends: 0.0 < ends[0] and low <= ends[0] <= ends[1] <= high,
-        lambda value: floats(2)(_pair(value)),
-    )
-
-
 def action_sequence(known: Sequence[str]) -> Check:
     """Accept words, their characters in any order."""
     words = " or ".join(filter(None, (", ".join(map(repr, known[:-1])), repr(known[-1]))))
@@ -232,6 +223,11 @@ workspace = rule(
     f"of at least {MIN_WORKSPACE:g}, z low not below 0",
     _is_workspace,
     floats(3, 2),
+)
+scale_range = rule(
+    f"a positive number or [low, high], at most {MAX_SCALE}",
+    lambda limits: 0.0 < limits[0] <= limits[1] <= MAX_SCALE,
+    lambda value: floats(2)(_pair(value)),
 )
 render_size = rule(
     "a number of pixels or [width, height], each from 16 to 4096",

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WIDE, EnvConfig, TaskDefaults
+from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, WIDE, EnvConfig, ParameterError, TaskDefaults
 from bulletarm_gym.control import GraspParams
 from bulletarm_gym.experts import CLOSED, OPEN, Waypoint
 from bulletarm_gym.experts.approach import RELEASE, place_pose
@@ -26,8 +26,8 @@ SWABS_APART, SWAB_ROW = containers.NEW_TUBE_BOX[0] / 3.7, -containers.NEW_TUBE_B
 """Distance (m) between swabs along x, and their y (m), in the frame of their box."""
 SPREAD = math.radians(30.0)
 """Largest absolute yaw of tubes and of swabs."""
-SCALES = (0.4, 0.8)
-"""Range of scales at which the fingers fit between swabs and tubes of any yaw in their box, and hold them."""
+MAX_SCALE = 0.858
+"""Largest scale at which swabs and tubes of any yaw do not overlap in their box."""
 USER_REACH = (0.0125, 0.1)
 """Largest distances (m) along x and y of a used tube from the centre of the test area."""
 GRASP_DEPTH = 0.008
@@ -76,7 +76,6 @@ class CovidTest(Task):
         num_objects=2 * ROUNDS,
         max_steps=30,
         object_scale=containers.COVID_SCALE,
-        scales=SCALES,
         allowed_objects=(2 * ROUNDS,),
         no_tray="the three places do not fit into the tray",
         level_ground="the three places need 30 x 30 cm of level ground",
@@ -90,6 +89,9 @@ class CovidTest(Task):
         return GraspParams(pick_offset=GRASP_DEPTH, opening=OPENING)
 
     def bodies(self, config: EnvConfig) -> list[ObjectSlot]:
+        if max(config.scales) > MAX_SCALE:
+            takes = f"sizes up to {MAX_SCALE}: larger swabs and tubes overlap in their box"
+            raise ParameterError.of("object_scale_range", config.object_scale_range, takes)
         containers = [ObjectSlot(name, (make(name),)) for name, (make, _, _) in CONTAINERS.items()]
         return containers + [
             scaled(config, f"{kind} {number}", make, kind)

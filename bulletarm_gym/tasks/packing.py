@@ -74,7 +74,6 @@ class BinPacking(Task):
         num_objects=8,
         max_steps=20,
         object_scale=0.8,
-        scales=(0.4, 0.82),  # a layer of six long blocks fills the bin
         allowed_objects=tuple(range(1, 9)),
         no_tray="the bin and its blocks do not fit into the tray",
         close_loop={"max_steps": 200, "workspace": WIDE},
@@ -233,7 +232,6 @@ class BottleArrangement(Task):
         num_objects=6,
         max_steps=20,
         object_scale=0.8,
-        scales=(0.4, 0.85),  # six bottles fill the tray
         allowed_objects=tuple(range(1, 7)),
         no_tray="the bottles and their own tray do not fit into the tray",
         level_ground="bottles fall over on a slope",

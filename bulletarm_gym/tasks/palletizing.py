@@ -63,7 +63,6 @@ class BoxPalletizing(Task):
         num_objects=3 * LAYER,
         max_steps=40,
         object_scale=0.8,
-        scales=(0.6, 1.0),  # smaller boxes fall into gaps, larger ones leave no room next to the pallet
         allowed_objects=(LAYER, 2 * LAYER, 3 * LAYER),
         no_tray="the pallet and a box next to it do not fit into the tray",
         close_loop={"max_steps": 400, "workspace": WIDE},

@@ -8,7 +8,6 @@ from typing import ClassVar
 import numpy as np
 
 from bulletarm_gym.config import CLOSE_LOOP, EnvConfig, TaskDefaults
-from bulletarm_gym.config_checks import MAX_SCALE
 from bulletarm_gym.experts import CLOSED, OPEN, Waypoint, approach
 from bulletarm_gym.experts.approach import grasp, grasp_object, pass_above, place_object, side_yaw
 from bulletarm_gym.geometry import FloatArray, Pose, planar_distance, wrap_angle
@@ -205,7 +204,6 @@ class CornerPicking(Lift):
     instructions = ("Get a cube out of a corner and lift it.", "Pick up the cube in the corner.")
     defaults = TaskDefaults(
         num_objects=1,
-        scales=(0.93, MAX_SCALE),  # the walls keep palms away from smaller cubes
         lifts=True,
         no_tray="the corner does not fit into the tray",
         level_ground="the corner's plate lies on level ground",

@@ -144,8 +144,6 @@ CENTRE_SPACING = 2.4
 """Smallest distance between the blocks' centres, relative to the largest block's side."""
 BRICKS = 19
 """Number of sizes of bricks, the number of shapes of blocks."""
-IMPROVISE_SCALES = (0.3, 0.7)
-"""Range of scales at which every block of random shape fits between the fingers of every gripper."""
 
 
 class Stack(Structure):
@@ -315,7 +313,7 @@ class ImproviseHouseBuilding2(Structure):
         "Put two blocks of different shapes side by side{surface}, and the roof on both.",
         "Put the roof on the other two blocks{surface}.",
     )
-    defaults = replace(structure_defaults(3), scales=IMPROVISE_SCALES)
+    defaults = structure_defaults(3)
     layers: Sequence[Sequence[str]] = (("block", "block"), ("roof",))
     width = blocks.CELL * blocks.MAX_STRETCHED_CELLS
 
@@ -345,5 +343,5 @@ class ImproviseHouseBuilding3(ImproviseHouseBuilding2):
         "Put two blocks of different shapes side by side{surface}, the brick on both, and the roof on it.",
         "Build a house of two blocks, a brick and a roof{surface}.",
     )
-    defaults = replace(structure_defaults(4), scales=IMPROVISE_SCALES)
+    defaults = structure_defaults(4)
     layers = (("block", "block"), ("brick",), ("roof",))
