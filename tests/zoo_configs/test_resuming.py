@@ -1,6 +1,7 @@
 """Resuming of runs, also after a kill at any moment, loading of models, and certificates of trainings."""
 
 import os
+import pickle
 import shlex
 import shutil
 import subprocess
@@ -315,3 +316,14 @@ def test_an_agent_with_hindsight_replay_acts(tmp_path):
     assert main(["train", *words, "--eval-freq", "0", "-f", str(tmp_path), "--no-progress"]) == 0
     [run] = find_runs(tmp_path)
     assert main(["enjoy", str(run.folder), "-n", "1", "--no-progress"]) == 0
+
+
+def test_a_run_keeps_the_normalization_of_the_model_that_it_started_from(train_tiny, tmp_path, refuse):
+    first, second = (tmp_path / name / "sacfd" / RUN_NAME for name in ("first", "second"))
+    assert train_tiny(tmp_path / "first", "normalize:{norm_obs: false, clip_reward: 3}") == 0
+    assert train_tiny(tmp_path / "second", "-i", str(first / "best_model.zip")) == 0
+    shutil.rmtree(first)
+    assert main(["train", "--resume", str(second), "-n", "18", "--verbose", "0"]) == 0
+    assert pickle.loads(load_run(second).statistics_file.read_bytes()).clip_reward == 3
+    for words in ("record",), ("push", "--folder", str(tmp_path / "pushed")):
+        assert "normalize" in refuse(words[0], str(second), *words[1:])

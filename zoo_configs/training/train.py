@@ -22,7 +22,7 @@ from zoo_configs.experiments.validation import check_experiment, check_expert_da
 from zoo_configs.files import made_folder
 from zoo_configs.training.evaluation import save_model
 from zoo_configs.training.options import TrainingOptions
-from zoo_configs.training.runs import Run, claim_run_folder, clear, load_run, write_resolved
+from zoo_configs.training.runs import Run, claim_run_folder, clear, copy_statistics, load_run, write_resolved
 from zoo_configs.training.state import State, run_lock
 from zoo_configs.training.trainer import Trainer
 
@@ -165,6 +165,7 @@ def _train(run: Run, checkpoint: Path | None, callbacks: Sequence[BaseCallback],
         logged = stack.enter_context(_tracked(run)) if run.options.track else run
         if checkpoint is None:
             clear(run)
+            copy_statistics(run)
         set_random_seed(run.seed)
         trainer = stack.enter_context(closing(Trainer(logged, checkpoint, callbacks, progress)))
         write_resolved(run)
