@@ -79,7 +79,7 @@ def test_a_resumed_run_has_the_tables_and_the_tensorboard_folder_of_its_options(
     assert len(folders) == 1 and str(folders[0]).startswith("sacfd_1_")
 
 
-def test_a_run_that_cannot_be_resumed_is_one_line(run_folder, refuse):
+def test_a_run_that_cannot_be_resumed_is_one_line(run_folder, tmp_path, refuse):
     fixed = ("--seed", "--baseline", "--env", "--benchmark", "--log-folder")
     for words, text in (
         ("", "12 of 12 steps"),
@@ -91,6 +91,9 @@ def test_a_run_that_cannot_be_resumed_is_one_line(run_folder, refuse):
         ("-i model.zip", "--trained-agent"),
     ):
         assert text in refuse("train", "--resume", str(run_folder), *words.split())
+    copy = Path(shutil.copytree(run_folder, tmp_path / RUN_NAME))
+    (file := copy / "hyperparams.yml").write_text(file.read_text().replace("batch_size: ", "batch_size: 1"))
+    assert "batch_size" in refuse("train", "--resume", str(copy), "-n", "18")
 
 
 def test_a_run_without_a_model_is_skipped(trained, toy_id, tmp_path, capsys, refuse):
