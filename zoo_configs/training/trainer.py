@@ -109,12 +109,9 @@ class Trainer:
                 env.close()
 
     def _build_env(self, n_envs: int, **kwargs: Any) -> VecEnv:
-        statistics = None
-        if self.options.trained_agent:  # the statistics of the model that training starts from
-            folder = Path(self.options.trained_agent).parent
-            statistics = folder / env_folder_name(self.run.experiment.env_id) / self.run.statistics_file.name
         names = self.run.experiment.env_id, self.hyperparams, n_envs, self.run.seed
-        env = build_vec_env(*names, vec_env=self.options.vec_env, statistics=statistics, **kwargs)
+        kwargs["statistics"] = self.run.statistics_file  # also of a model that training starts from
+        env = build_vec_env(*names, vec_env=self.options.vec_env, **kwargs)
         self.envs.append(env)
         return env
 
