@@ -92,7 +92,7 @@ def in_hand_image(
     """Return the in-hand image of open-loop control from a pick to the next place. At other times it is zero.
 
     :param heightmap: (1, n, n), heightmap before the pick
-    :param pick: pose (world) of the fingertips when they closed
+    :param pick: target pose (world) of the pick, with the theta of the action, see ``PickPlace.pose``
     :param size: side length (pixels) of the image, ``in_hand_size``; 40 on bumps
     :param tilts: whether actions have three r's and the image three channels
     :return: (1, size, size) or (3, size, size) m, within [0, 0.4]

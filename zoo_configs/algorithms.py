@@ -2,7 +2,7 @@
 
 import functools
 import pkgutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 ALGORITHMS = {
@@ -32,9 +32,17 @@ OTHERS = {
 """Import paths of the other algorithms, with rl_zoo3's names."""
 
 
+def callable_from_path(path: str) -> Callable[..., Any]:
+    """Import a class or function from ``package.module.name``; raise ``ImportError`` if it is neither."""
+    found = pkgutil.resolve_name(path)
+    if not callable(found):
+        raise ImportError(f"{path} is not a class or a function")
+    return found  # type: ignore[no-any-return]
+
+
 def class_from_path(path: str) -> type[Any]:
     """Import a class from ``package.module.Class``; raise ``ImportError`` if it is not a class."""
-    found = pkgutil.resolve_name(path)
+    found = callable_from_path(path)
     if not isinstance(found, type):
         raise ImportError(f"{path} is not a class")
     return found

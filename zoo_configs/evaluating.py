@@ -15,7 +15,8 @@ from tqdm import tqdm
 from zoo_configs.agents import Agent
 from zoo_configs.environments import SeedStream, stream_seed, tried_env
 from zoo_configs.errors import CommandError, refused
-from zoo_configs.training.objects import build_vec_env
+from zoo_configs.training.objects import build_vec_env, parsed
+from zoo_configs.training.runs import Run
 
 
 @dataclass(frozen=True)
@@ -108,7 +109,13 @@ def check_fits(env: Any, agent: Agent) -> None:
         check_for_correct_spaces(env, agent.model.observation_space, agent.model.action_space)
 
 
-def check_unwrapped(hyperparams: Mapping[str, Any], names: tuple[str, ...], reason: str) -> None:
-    """Raise ``CommandError``, ending in ``reason``, if one of some hyperparameters is set."""
+def check_unwrapped(run: Run | None, names: tuple[str, ...], reason: str) -> None:
+    """Raise ``CommandError``, ending in ``reason``, if one of some hyperparameters of a run is set."""
+    hyperparams = {} if run is None else dict(run.experiment.hyperparams)
+    normalize = parsed({"normalize": hyperparams.get("normalize")})["normalize"]
+    if isinstance(normalize, Mapping) and not normalize.get("norm_obs", True):  # it changes rewards alone
+        hyperparams["normalize"] = False
+    elif run is not None and run.statistics_file.is_file():  # also of a model that the training started from
+        hyperparams["normalize"] = True
     if wrapped := [name for name in names if hyperparams.get(name)]:
         raise CommandError(f"the agent was trained with {', '.join(wrapped)}, {reason}")

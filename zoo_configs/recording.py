@@ -67,7 +67,7 @@ def expert_actor(env_id: str, env_kwargs: Mapping[str, Any]) -> Actor:
 
 def agent_actor(agent: Agent, env_kwargs: Mapping[str, Any]) -> Actor:
     """Return an agent in its environment; raise ``CommandError`` if the environment does not fit it."""
-    check_unwrapped(agent.hyperparams, WRAPPERS, "which record does not support")
+    check_unwrapped(agent.run, WRAPPERS, "which record does not support")
     env = _make(agent.env_id, {**agent.env_kwargs, **env_kwargs})
     env = wrapped(env, agent.hyperparams.get("env_wrapper"))
     check_fits(env, agent)

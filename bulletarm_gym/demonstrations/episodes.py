@@ -266,6 +266,9 @@ def atomic_path(path: Path) -> Iterator[Path]:
     try:
         yield temporary
         os.replace(temporary, path)
+    except OSError as error:
+        error.filename = error.filename or str(path)  # the error of a full disk has no file name
+        raise
     finally:
         shutil.rmtree(temporary, ignore_errors=True)  # does nothing to a file
         temporary.unlink(missing_ok=True)

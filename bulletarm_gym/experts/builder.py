@@ -77,7 +77,16 @@ class Builder:
 
     @property
     def _base(self) -> tuple[Point, list[float]]:
-        return self._blueprint.base([self._chosen[one] for one in self._blueprint.layers[0]], self._blocks)
+        base = [self._chosen[one] for one in self._blueprint.layers[0]]
+        (width, length), offsets = self._blueprint.base(base, self._blocks)
+        return (width, max(length, self._inside_length)), offsets
+
+    @cached_property
+    def _inside_length(self) -> float:
+        """Length (m) that must be in the workspace: that of the longest block, or 0 if only centres must."""
+        if self._scene.config.workspace_check == "point":
+            return 0.0
+        return max(block.spec.extents[1] for block in self._chosen.values()) + 2.0 * BUILD_TOLERANCE
 
     @property
     def is_unbuilt(self) -> bool:
@@ -268,13 +277,18 @@ class Builder:
         return False
 
     def _supports(self, first: Footprint, last: Footprint) -> bool:
-        """Return True if the block above the first and last block of a base clears the surface."""
+        """Return True if the block above the first and last block of a base clears surface and border."""
         surface, side = self._scene.surface, self._blueprint.side
         length = self._blueprint.length_above(self._blueprint.layers[0][-1], self._blocks)
         (x0, y0), (x1, y1) = (one.points.mean(axis=0).tolist() for one in (first, last))
         yaw = math.atan2(y1 - y0, x1 - x0) - math.pi / 2.0
-        over = Footprint.rectangle((side, length), Pose.planar((x0 + x1) / 2.0, (y0 + y1) / 2.0, 0.0, yaw))
-        return float(surface.heights(over.points).max()) < surface.level + 0.8 * side
+        frame = Pose.planar((x0 + x1) / 2.0, (y0 + y1) / 2.0, 0.0, yaw)
+        over = Footprint.rectangle((side, length), frame)
+        clears = float(surface.heights(over.points).max()) < surface.level + 0.8 * side
+        inside = self._inside_length
+        return clears and (
+            not inside or Footprint.rectangle((side, inside), frame).is_inside(surface.workspace)
+        )
 
 
 class TowerBuilder(Builder):

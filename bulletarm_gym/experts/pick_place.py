@@ -38,7 +38,7 @@ FINGER_CLEARANCE = 0.002
 TIP_CLEARANCE = 0.0015
 """Gap (m) between the fingertips and the surface below them."""
 OPENING_PLAY = 0.008
-"""Smallest difference (m) between the stroke and the side of a block that is grasped along its length."""
+"""Smallest difference (m) between the opening and the side of a block that is grasped along its length."""
 OVERHANG = 0.005
 """Distance (m) by which a palm may be wider than the open fingers without a collision check."""
 PALM_CLEARANCE = 0.004
@@ -125,17 +125,19 @@ def resting_box(obj: SceneObject) -> RestingBox:
     return RestingBox((x1 - x0, y1 - y0, z1 - z0), ((x0 + x1) / 2.0, (y0 + y1) / 2.0, 0.0), z0)
 
 
-def pick(scene: Scene, obj: SceneObject, rng: np.random.Generator) -> Waypoint:
+def pick(scene: Scene, obj: SceneObject, rng: np.random.Generator, opening: float = math.inf) -> Waypoint:
     """Return the pick of an object: at its centre, or up to 0.3 of its height above it without a collision.
 
     The fingers close across the shorter side, or along it if they collide otherwise.
 
     :param rng: samples a grasp if all of them collide; the sampled grasp may succeed nevertheless
+    :param opening: largest distance (m) between the open fingers, at most the stroke
     """
     frame = resting_frame(obj)
     _, length, height = resting_box(obj).sides
     gripper = scene.robot.model.gripper
-    yaws = [0.0, math.pi / 2.0] if is_box(obj) and length + OPENING_PLAY <= gripper.stroke else [0.0]
+    is_narrow = length + OPENING_PLAY <= min(opening, gripper.stroke)
+    yaws = [0.0, math.pi / 2.0] if is_box(obj) and is_narrow else [0.0]
     lifts = [share * height for share in (0.0, 0.15, 0.3)]
     poses = [_feasible(scene, frame.compose(Pose.planar(0.0, 0.0, z, yaw))) for z in lifts for yaw in yaws]
     sampled = poses[int(rng.integers(len(poses)))]

@@ -27,6 +27,8 @@ BAND = 0.02
 """Largest height (m) of the fingertips above the height of a drag."""
 OFF_LINE = 0.035
 """Largest distance (m) of the gripper from the line to the goal during a drag."""
+MAX_GAP = 0.9
+"""Largest distance between the fingers during a drag, relative to the block's width, which must not fit."""
 
 RUN_UP = 0.045
 """Distance (m) to an object's end at which a push starts."""
@@ -49,7 +51,7 @@ SPREAD = 0.02
 class Drag:
     """Plan that moves one block to a goal with the gripper behind it.
 
-    The gripper does not rotate: half-open fingers push straight enough in any direction. With a rotation by
+    The gripper does not rotate: two fingers push straight enough in any direction. With a rotation by
     pi/2 two yaws would be equivalent, and an agent cannot imitate the choice.
 
     :param obj: the block
@@ -59,7 +61,9 @@ class Drag:
 
     def __init__(self, scene: Scene, obj: SceneObject, goal: Sequence[float], low: float) -> None:
         self._tool = tool = scene.robot.pose
-        self._half_width = scene.robot.model.gripper.half_width(HALF_OPEN)
+        gripper = scene.robot.model.gripper
+        self._opening = min(HALF_OPEN, MAX_GAP * obj.spec.extents[0] / gripper.stroke)
+        self._half_width = gripper.half_width(self._opening)
         self._surface, self._goal, self._low = scene.surface, goal, low
         block, behind = obj.pose, obj.spec.extents[0] / 2.0 + CLEARANCE
         dx, dy = goal[0] - block.x, goal[1] - block.y
@@ -95,9 +99,9 @@ class Drag:
             low = self._drag_height(self._start)
             height = min(DRAG_HOVER + low - self._low, low + SLOPE * max(0.0, apart))
             if tool.z < height - HEIGHT_TOLERANCE:
-                yield Waypoint(Pose.planar(tool.x, tool.y, DRAG_HOVER, tool.yaw), HALF_OPEN)
-            yield Waypoint(Pose.planar(*self._start, height, tool.yaw), HALF_OPEN)
-        yield Waypoint(self._next(), HALF_OPEN, straight=True)
+                yield Waypoint(Pose.planar(tool.x, tool.y, DRAG_HOVER, tool.yaw), self._opening)
+            yield Waypoint(Pose.planar(*self._start, height, tool.yaw), self._opening)
+        yield Waypoint(self._next(), self._opening, straight=True)
 
     def _next(self) -> Pose:
         """Return the next pose of the drag: the goal, or on a sloping surface a short step."""

@@ -3,6 +3,7 @@
 from bulletarm_gym.objects.blocks import cube, flat_block, goal_area, triangle
 from bulletarm_gym.objects.catalogue import create
 from bulletarm_gym.objects.containers import bowl, corner, drawer
+from bulletarm_gym.objects.files import load_object
 
 __all__ = [
     "bowl",
@@ -12,5 +13,6 @@ __all__ = [
     "drawer",
     "flat_block",
     "goal_area",
+    "load_object",
     "triangle",
 ]

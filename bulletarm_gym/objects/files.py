@@ -20,7 +20,7 @@ from scipy.spatial import ConvexHull, QhullError
 from bulletarm_gym.config_checks import check_argument, numbers
 from bulletarm_gym.geometry import FloatArray, Mesh, Pose, Vector
 from bulletarm_gym.objects.graspables import graspable
-from bulletarm_gym.objects.solids import corner_radius, cylinder
+from bulletarm_gym.objects.solids import corner_radius, cylinder, laid_flat
 from bulletarm_gym.simulation.shapes import ORIGIN, BodySpec, Box, Colour, Convex, Piece, mesh_parts
 from bulletarm_gym.simulation.urdf import frame_of, mesh_path, number_of, numbers_of, parse_urdf, vector_of
 
@@ -57,7 +57,7 @@ Notes: TypeAlias = defaultdict[str, set[str]]
 
 
 def load_folder(folder: str) -> tuple[BodySpec, ...]:
-    """Return the objects of all files in a folder and its subfolders, sorted by path.
+    """Return the objects of all files in a folder and its subfolders, laid flat and sorted by path.
 
     If a folder has URDF files, the meshes in it and in its subfolders are parts of them. Symbolic links are
     followed. One warning names the files that cannot be loaded, with the reasons, the models and elements
@@ -73,11 +73,12 @@ def load_folder(folder: str) -> tuple[BodySpec, ...]:
     specs, faults, notes = [], [], Notes(set)
     for path in paths:
         try:
-            specs.append(load_object(path, str(path.relative_to(root)), notes))
+            spec = _read(path, str(path.relative_to(root)), notes)
+            specs.append(replace(spec, pieces=laid_flat(spec.pieces)))
         except ValueError as error:
             faults.append(str(error))
     if not specs:
-        raise ValueError("; ".join(faults))
+        raise ValueError(f"object_set: {'; '.join(faults)}")
     if faults:
         notes[f"{len(faults)} of {len(paths)} files are left out"].update(faults)
     if unused := _unused_models(files, paths):
@@ -85,10 +86,15 @@ def load_folder(folder: str) -> tuple[BodySpec, ...]:
         notes["files that are not used (OBJ and STL files, and the meshes that a URDF names, are)"] = names
     if any(b"map_Kd" in path.read_bytes() for path in files if path.suffix.lower() == ".mtl"):
         notes[NO_EFFECT].add("map_Kd")
+    _warn("object_set", notes)
+    return tuple(specs)
+
+
+def _warn(subject: str, notes: Notes) -> None:
+    """Emit one warning with all notes, if there are any."""
     if notes:
         parts = [f"{what}: {', '.join(sorted(names))}" for what, names in notes.items()]
-        warnings.warn("object_set: " + "; ".join(parts), stacklevel=2)
-    return tuple(specs)
+        warnings.warn(f"{subject}: {'; '.join(parts)}", stacklevel=3)
 
 
 def _walk(folder: Path) -> Iterator[Path]:
@@ -117,24 +123,38 @@ def _unused_models(files: Iterable[Path], loaded: Iterable[Path]) -> set[Path]:
     return {path for path in models.difference(loaded) if path.name not in text}
 
 
-def load_object(path: Path, name: str, notes: Notes) -> BodySpec:
-    """Return the object of a file; omitted properties are those of the built-in objects to grasp.
+def load_object(path: str | os.PathLike[str], name: str, scale: float = 1.0) -> BodySpec:
+    """Return the object of an OBJ, STL or URDF file in the file's frame, for a task of your own.
 
-    :param notes: receives the elements without effect and the concave meshes
-    :raises ValueError: the file cannot be loaded; the message names it and the reason
+    Omitted properties are those of the built-in objects to grasp. A warning names the elements without effect
+    and the concave meshes.
+
+    :param name: unique in the scene
+    :param scale: factor on the size, such as 0.001 for a mesh in millimetres; the mass does not change
+    :raises ValueError: ``scale`` is not positive, or the file cannot be loaded, with the reason
     """
+    notes = Notes(set)
+    scale = check_argument("scale", scale, numbers("positive"))
+    spec = _read(Path(path), name, notes, scale)
+    _warn(str(path), notes)
+    return spec
+
+
+def _read(path: Path, name: str, notes: Notes, scale: float = 1.0) -> BodySpec:
+    """Return the object of a file in the file's frame; the notes receive what a warning names."""
     try:
         if path.suffix.lower() == ".urdf":
             spec = _from_urdf(path, name, notes)
         else:
             spec = graspable(name, _hulls(path, notes), GREY)
+        spec = replace(spec, pieces=tuple(piece.scaled(scale) for piece in spec.pieces))
         if not (SIDES[0] <= min(spec.extents) and max(spec.extents) <= SIDES[1]):
             sides = " x ".join(f"{side:.4g}" for side in spec.extents)
             raise ValueError(f"its sides must be {SIDES[0]} to {SIDES[1]} m, got {sides}")
         if not MASSES[0] <= spec.mass <= MASSES[1]:
             raise ValueError(f"its mass must be {MASSES[0]} to {MASSES[1]} kg, got {spec.mass:g}")
     except (ValueError, OSError) as error:
-        raise ValueError(f"object_set: {path} cannot be loaded: {error}") from error
+        raise ValueError(f"{path} cannot be loaded: {error}") from error
     return spec
 
 

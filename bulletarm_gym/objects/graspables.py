@@ -6,7 +6,7 @@ solids. In every resting pose each has a part that the narrowest gripper, 75 mm,
 follow from a fixed seed, so that a name identifies a shape.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 
 import numpy as np
@@ -196,10 +196,10 @@ def graspables() -> tuple[BodySpec, ...]:
             lengths = [round(float(rng.uniform(low, high)), 4) for low, high in ranges]
             pieces = shape(*lengths, *([int(rng.choice(sides))] if sides else []))
             red, green, blue = rng.uniform(0.35, 0.95, 3).round(2).tolist()
-            specs.append(graspable(f"{name}_{number}", pieces, (red, green, blue, 1.0)))
+            specs.append(graspable(f"{name}_{number}", laid_flat(pieces), (red, green, blue, 1.0)))
     return tuple(specs)
 
 
-def graspable(name: str, pieces: list[Piece], colour: Colour) -> BodySpec:
-    """Return a body in its resting frame, with the mass and friction of all objects to grasp."""
-    return BodySpec(name, laid_flat(pieces), MASS, FRICTION, angular_damping=ANGULAR_DAMPING, colour=colour)
+def graspable(name: str, pieces: Sequence[Piece], colour: Colour) -> BodySpec:
+    """Return a body with the mass and friction of all objects to grasp."""
+    return BodySpec(name, tuple(pieces), MASS, FRICTION, angular_damping=ANGULAR_DAMPING, colour=colour)

@@ -117,7 +117,7 @@ class BinPacking(Task):
             return
         outside = [block for block in blocks if not self._is_in_bin(scene, block)] or blocks
         free = [block for block in outside if is_top(block, blocks)] or outside
-        yield pick(scene, max(free, key=lambda block: math.prod(block.spec.extents)), rng)
+        yield pick(scene, max(free, key=lambda block: math.prod(block.spec.extents)), rng, OPENING)
 
     def _is_in_bin(self, scene: Scene, block: SceneObject) -> bool:
         rise = block.pose.z - scene["bin"].pose.z

@@ -41,8 +41,27 @@ def test_expert_solves_under_other_parameters(make, typical_id, parameters):
     solve(make(typical_id, **parameters, **few))
 
 
+def test_long_blocks_of_structures_stay_inside_the_workspace(make):
+    env = make("BulletArm/OpenLoopHouseBuilding4-v0", workspace_check="bounding_box")
+    for seed in (2, 7):
+        env.reset(seed=seed)
+        assert finish(env)[0]
+
+
 SMALLEST = {"workspace": [[0.4, 0.44], [-0.02, 0.02], [0.005, 0.12]], "object_scale_range": 0.3}
 """The smallest workspace, and a cube of 1.5 cm."""
+
+
+@pytest.mark.parametrize(
+    ("task", "scale", "most"), [("CloseLoopBlockPushing", 0.5, 20), ("OpenLoopBinPacking", 0.6, 16)]
+)
+def test_fingers_open_by_less_than_the_stroke_for_small_objects(make, task, scale, most):
+    """Cubes are pushed by both fingers instead of passing between them, and slabs are grasped across."""
+    env = make(f"BulletArm/{task}-v0", object_scale_range=scale)
+    for seed in (1, 2):
+        env.reset(seed=seed)
+        solved, steps = finish(env)[:2]
+        assert solved and steps <= most
 
 
 def test_expert_solves_tasks_in_a_small_workspace():

@@ -10,7 +10,7 @@ import pytest
 from rollouts import GRASPING
 
 from bulletarm_gym.geometry import Mesh, Pose
-from bulletarm_gym.objects.files import GREY, load_folder
+from bulletarm_gym.objects.files import GREY, load_folder, load_object
 from bulletarm_gym.objects.graspables import FRICTION, MASS, graspables
 from bulletarm_gym.robots import read_urdf
 from bulletarm_gym.simulation import Box, Convex, Piece
@@ -75,6 +75,9 @@ def test_formats_are_read_in_any_case(tmp_path, name):
     (spec,) = load_folder(str(tmp_path))
     assert spec.name == name and spec.extents == pytest.approx((0.05, 0.06, 0.04))
     assert (spec.mass, spec.friction, spec.colour) == (MASS, FRICTION, GREY)
+    alone = load_object(tmp_path / name, "box", 0.5)  # not laid flat
+    assert alone.name == "box" and alone.extents == pytest.approx([side / 2 for side in SIZE])
+    assert alone.mass == MASS
 
 
 @pytest.mark.parametrize("kind", ["inside out", "open", "polygons", "millimetres in a URDF"])

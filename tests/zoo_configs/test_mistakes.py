@@ -206,7 +206,9 @@ def test_a_full_disk_is_one_line(refuse, monkeypatch):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(os, "replace", fill)
-    assert "No space left on device" in refuse(*RECORD.split(), "-o", "new/video.gif")
+    assert "new/video.gif: No space left on device" in refuse(*RECORD.split(), "-o", "new/video.gif")
+    demos = "demos --env BulletArm/CloseLoopBlockReaching-v0 -n 1 --env-kwargs obs_size:32 -o new.h5"
+    assert "new.h5: No space left on device" in refuse(*demos.split())
     assert "No space left on device" in refuse(*TRAIN.split())
 
 

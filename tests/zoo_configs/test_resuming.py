@@ -1,6 +1,7 @@
 """Resuming of runs, also after a kill at any moment, loading of models, and certificates of trainings."""
 
 import os
+import pickle
 import shlex
 import shutil
 import subprocess
@@ -78,7 +79,7 @@ def test_a_resumed_run_has_the_tables_and_the_tensorboard_folder_of_its_options(
     assert len(folders) == 1 and str(folders[0]).startswith("sacfd_1_")
 
 
-def test_a_run_that_cannot_be_resumed_is_one_line(run_folder, refuse):
+def test_a_run_that_cannot_be_resumed_is_one_line(run_folder, tmp_path, refuse):
     fixed = ("--seed", "--baseline", "--env", "--benchmark", "--log-folder")
     for words, text in (
         ("", "12 of 12 steps"),
@@ -90,6 +91,9 @@ def test_a_run_that_cannot_be_resumed_is_one_line(run_folder, refuse):
         ("-i model.zip", "--trained-agent"),
     ):
         assert text in refuse("train", "--resume", str(run_folder), *words.split())
+    copy = Path(shutil.copytree(run_folder, tmp_path / RUN_NAME))
+    (file := copy / "hyperparams.yml").write_text(file.read_text().replace("batch_size: ", "batch_size: 1"))
+    assert "batch_size" in refuse("train", "--resume", str(copy), "-n", "18")
 
 
 def test_a_run_without_a_model_is_skipped(trained, toy_id, tmp_path, capsys, refuse):
@@ -315,3 +319,14 @@ def test_an_agent_with_hindsight_replay_acts(tmp_path):
     assert main(["train", *words, "--eval-freq", "0", "-f", str(tmp_path), "--no-progress"]) == 0
     [run] = find_runs(tmp_path)
     assert main(["enjoy", str(run.folder), "-n", "1", "--no-progress"]) == 0
+
+
+def test_a_run_keeps_the_normalization_of_the_model_that_it_started_from(train_tiny, tmp_path, refuse):
+    first, second = (tmp_path / name / "sacfd" / RUN_NAME for name in ("first", "second"))
+    assert train_tiny(tmp_path / "first", "normalize:{norm_obs: false, clip_reward: 3}") == 0
+    assert train_tiny(tmp_path / "second", "-i", str(first / "best_model.zip")) == 0
+    shutil.rmtree(first)
+    assert main(["train", "--resume", str(second), "-n", "18", "--verbose", "0"]) == 0
+    assert pickle.loads(load_run(second).statistics_file.read_bytes()).clip_reward == 3
+    for words in ("record",), ("push", "--folder", str(tmp_path / "pushed")):
+        assert "normalize" in refuse(words[0], str(second), *words[1:])

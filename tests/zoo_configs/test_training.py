@@ -29,6 +29,7 @@ from zoo_configs.environments import register_environments
 from zoo_configs.errors import CommandError
 from zoo_configs.experiments.config import ExperimentConfig, resolve
 from zoo_configs.files import write_yaml
+from zoo_configs.training.objects import build_vec_env
 from zoo_configs.training.options import TrainingOptions
 from zoo_configs.training.runs import find_runs, load_run
 from zoo_configs.training.state import State
@@ -230,6 +231,7 @@ def check_updates(baseline, run):
 
 
 SHORTER = "{gymnasium.wrappers.TimeLimit: {max_episode_steps: 3}}"
+WRAPPERS = [f"env_wrapper:[toy_env.without_holding, {SHORTER}]", "normalize:{norm_obs: false}"]
 BUFFER = "rollout_buffer_class:stable_baselines3.common.buffers.DictRolloutBuffer"
 
 
@@ -240,7 +242,7 @@ BUFFER = "rollout_buffer_class:stable_baselines3.common.buffers.DictRolloutBuffe
         (
             "ppo",
             "TOY",
-            ["obs_size:48", "-params", "n_steps:8", "batch_size:8", BUFFER, f"env_wrapper:{SHORTER}"],
+            ["obs_size:48", "-params", "n_steps:8", "batch_size:8", BUFFER, *WRAPPERS],
         ),
         ("ppo_lstm", "Pendulum-v1", ["g:9.0", "-params", "n_steps:8", "batch_size:8"]),
     ],
@@ -252,10 +254,20 @@ def test_a_stock_algorithm_trains(algo, env_id, parameters, toy_id, tmp_path, ca
     assert main(["enjoy", *named, "-n", "1", "--no-progress"]) == 0
     reported = "success_rate=" if env_id == "TOY" else "mean_return=-"
     assert capsys.readouterr().out.splitlines()[-1].startswith(reported)
+    if env_id == "TOY":
+        assert main(["record", *named, "-n", "1", "-o", str(tmp_path / "toy.gif"), "--no-progress"]) == 0
     [run] = find_runs(tmp_path)
     for path in run.folder.glob("*.monitor.csv"):  # a copied folder need not have them
         path.unlink()
     assert main(["train", "--resume", str(run.folder), "-n", "16", "--no-progress"]) == 0
+
+
+def test_frames_are_stacked_as_channels(toy_id):
+    env = build_vec_env(toy_id, {"frame_stack": 2, "env_kwargs": {"obs_size": 48}}, 1, 0)
+    assert {name: space.shape for name, space in env.observation_space.items()} == {
+        "heightmap": (2, 48, 48),
+        "holding": (2,),
+    }
 
 
 MODULE, OWN_ID = "my_own_tasks", "BulletArm/CloseLoopOwnReaching-v0"

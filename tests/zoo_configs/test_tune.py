@@ -143,6 +143,7 @@ def test_another_study_is_refused(tune, tmp_path, capsys):
         ([*database, "--eval-episodes", "3"], "options"),
         ([*database, "-f", str(tmp_path / "elsewhere")], "folder"),
         (["--storage", "magic://nowhere"], "magic://nowhere"),
+        ([], "--storage"),
         *(([*database, "--study-name", name], "--study-name") for name in ("minimized", "owned")),
     ):
         assert tune(*words) == 2

@@ -7,6 +7,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
+from gymnasium.wrappers import FilterObservation
 
 TOY_ID = "BulletArm/CloseLoopToy-v0"
 STEP = 0.05  # m an action of 1 moves
@@ -67,3 +68,8 @@ class ToyEnv(gym.Env[dict[str, Any], np.ndarray]):
         row, column = ((self.offset / 0.45 + 0.5) * self.obs_size).astype(int).clip(2, self.obs_size - 3)
         image[0, row - 2 : row + 3, column - 2 : column + 3] = 0.1
         return {"heightmap": image, "holding": np.zeros(1, np.float32)}
+
+
+def without_holding(env):
+    """Wrap an environment by a function, as files of rl_zoo3 can."""
+    return FilterObservation(env, ["heightmap"])

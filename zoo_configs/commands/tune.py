@@ -44,7 +44,7 @@ def main(args: argparse.Namespace) -> None:
     words += ["--seed", str(run.seed + 1), "--conf-file", str(run.folder / BEST_FILE)]
     words += ["--gym-packages", ",".join(run.gym_packages)] if run.gym_packages else []
     print(f"To train with the best values: {shlex.join(words)}")
-    print(f"To view the study: optuna-dashboard {search.storage_name}")
+    print(f"To view the study: {shlex.join(['optuna-dashboard', search.storage_name])}")
 
 
 def _search(args: argparse.Namespace) -> Search:

@@ -15,7 +15,7 @@ from zoo_configs.environments import load_expert_data
 from zoo_configs.errors import CommandError, check_names, refused, unknown_name
 from zoo_configs.experiments.config import ExperimentConfig, leaves
 from zoo_configs.files import format_yaml
-from zoo_configs.training.objects import NOISES, SCHEDULE, TRAINER_KEYS, described_classes, parsed
+from zoo_configs.training.objects import NOISES, SCHEDULE, TRAINER_KEYS, described_callables, parsed
 
 RESERVED_KEYS = {"_init_setup_model", "device", "env", "seed", "tensorboard_log", "verbose"}
 """Constructor arguments that the trainer passes to every algorithm."""
@@ -97,7 +97,7 @@ def check_experiment(experiment: ExperimentConfig) -> None:
         with refused(f"{key} must be valid, got {value!r}"):
             format_yaml(value)  # as in the files of the run
             parsed({key: value})
-            described_classes(value if key in DESCRIBED else None)
+            described_callables(value if key in DESCRIBED else None)
     with refused("augmentation"):
         make_augmentation(experiment.hyperparams.get("augmentation"))
 

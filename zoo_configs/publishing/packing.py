@@ -85,7 +85,7 @@ print(info["is_success"])
 
 def check_publishable(run: Run) -> None:
     """Raise ``CommandError`` if a model file is not the complete agent, or its success is unknown."""
-    check_unwrapped(run.experiment.hyperparams, WRAPPERS, "which a model file does not contain")
+    check_unwrapped(run, WRAPPERS, "which a model file does not contain")
     if run.evaluations_file.is_file() and load_curve(run.evaluations_file).measure != SUCCESS:
         raise CommandError(f"{run.experiment.env_id} does not report is_success, which a card needs")
 

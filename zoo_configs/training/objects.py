@@ -1,11 +1,12 @@
 """Python objects for YAML hyperparameters: schedules, classes, wrappers, callbacks, noise, environments."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
 import torch as th
 from stable_baselines3 import HerReplayBuffer
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -14,7 +15,7 @@ from stable_baselines3.common.noise import NormalActionNoise, OrnsteinUhlenbeckA
 from stable_baselines3.common.sb2_compat.rmsprop_tf_like import RMSpropTFLike
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv, VecEnv, VecFrameStack, VecNormalize
 
-from zoo_configs.algorithms import class_from_path
+from zoo_configs.algorithms import callable_from_path, class_from_path
 
 TRAINER_KEYS = (
     *("env_kwargs", "env_wrapper", "frame_stack", "monitor_kwargs", "normalize", "vec_env_wrapper"),
@@ -79,15 +80,15 @@ def import_classes(value: Any, is_class: bool = False) -> Any:
 
 
 def wrapped(env: Any, description: Any) -> Any:
-    """Return an environment in the wrappers of a description, as for :func:`described_classes`."""
-    for cls, kwargs in described_classes(description):
-        env = cls(env, **kwargs)
+    """Return an environment in the wrappers of a description, as for :func:`described_callables`."""
+    for wrapper, kwargs in described_callables(description):
+        env = wrapper(env, **kwargs)
     return env
 
 
-def described_classes(description: Any) -> list[tuple[type[Any], dict[str, Any]]]:
+def described_callables(description: Any) -> list[tuple[Callable[..., Any], dict[str, Any]]]:
     """
-    Return the classes and their arguments of a description.
+    Return the classes or functions of a description, and their arguments.
 
     :param description: None, an import path, a mapping from one path to arguments, or a list of these
     """
@@ -97,7 +98,7 @@ def described_classes(description: Any) -> list[tuple[type[Any], dict[str, Any]]
     if wrong := [entry for entry in entries if isinstance(entry, dict) and len(entry) != 1]:
         raise ValueError(f"an entry must be one class, or one class with arguments, got {wrong[0]}")
     pairs = [next(iter(entry.items())) if isinstance(entry, dict) else (entry, {}) for entry in entries]
-    return [(class_from_path(path), dict(kwargs or {})) for path, kwargs in pairs]
+    return [(callable_from_path(path), dict(kwargs or {})) for path, kwargs in pairs]
 
 
 def build_vec_env(
@@ -143,8 +144,15 @@ def build_vec_env(
     env = wrapped(env, values.get("vec_env_wrapper"))
     env = _normalized(env, values, for_evaluation, statistics)
     if values.get("frame_stack"):
-        env = VecFrameStack(env, values["frame_stack"])
+        env = VecFrameStack(env, values["frame_stack"], _channels_order(env.observation_space))
     return BaseAlgorithm._wrap_env(env, verbose=0, monitor_wrapper=False)  # images with the channels first
+
+
+def _channels_order(space: Any) -> Any:
+    """Return the ``channels_order`` of ``VecFrameStack``, which recognises images of uint8 only."""
+    if isinstance(space, gym.spaces.Dict):
+        return {name: _channels_order(part) for name, part in space.items()}
+    return "first" if len(space.shape) == 3 and space.dtype != np.uint8 else None
 
 
 def _normalized(

@@ -3,6 +3,7 @@
 import contextlib
 import os
 import shlex
+import shutil
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -16,7 +17,7 @@ import pandas as pd
 from zoo_configs.arguments import key_value_words
 from zoo_configs.errors import CommandError, reason, refused
 from zoo_configs.experiments.config import ExperimentConfig
-from zoo_configs.files import read_yaml, write_yaml
+from zoo_configs.files import read_yaml, whole_file, write_yaml
 from zoo_configs.provenance import commit, describe_hardware, versions
 from zoo_configs.training.options import TrainingOptions, flag
 from zoo_configs.training.state import RunStatus, run_status
@@ -165,8 +166,16 @@ def clear(run: Run) -> None:
     """Remove the files of a run that was killed before its first checkpoint and starts again."""
     reports = [run.evaluations_file, run.training_log, run.certificate, run.curve_file]
     monitors = run.folder.glob("*.monitor.csv")
-    for path in (*reports, *monitors, run.best_model, run.last_model):
+    for path in (*reports, *monitors, run.best_model, run.last_model, run.statistics_file):
         path.unlink(missing_ok=True)
+
+
+def copy_statistics(run: Run) -> None:
+    """Copy the normalisation statistics, if any, of the model that a run starts from to its folder."""
+    source = Path(run.options.trained_agent).parent / run.statistics_file.relative_to(run.folder)
+    if run.options.trained_agent and source.is_file():
+        with whole_file(run.statistics_file) as partial:
+            shutil.copyfile(source, partial)
 
 
 def cut_monitor_files(run: Run, steps: Sequence[int]) -> None:

@@ -19,10 +19,10 @@ from zoo_configs.environments import register_environments, tried_env
 from zoo_configs.errors import CommandError
 from zoo_configs.experiments.config import ExperimentConfig
 from zoo_configs.experiments.validation import check_experiment, check_expert_data
-from zoo_configs.files import made_folder
+from zoo_configs.files import made_folder, read_yaml
 from zoo_configs.training.evaluation import save_model
 from zoo_configs.training.options import TrainingOptions
-from zoo_configs.training.runs import Run, claim_run_folder, clear, load_run, write_resolved
+from zoo_configs.training.runs import Run, claim_run_folder, clear, copy_statistics, load_run, write_resolved
 from zoo_configs.training.state import State, run_lock
 from zoo_configs.training.trainer import Trainer
 
@@ -89,12 +89,16 @@ def resume_run(run: Run, progress: bool = False) -> Run:
     """
     Resume a run, whose options and device may have changed, from its latest valid checkpoint.
 
-    :raises CommandError: if there is no valid checkpoint, or the run is finished
+    :raises CommandError: if there is no valid checkpoint, the run is finished, or its file was edited
     :raises KeyboardInterrupt: after Ctrl-C, when the model is saved
     """
     begun = load_run(run.folder).options.eval_episodes
     if run.evaluations_file.is_file() and run.options.eval_episodes != begun:
         raise CommandError(f"eval_episodes must be {begun} as at the start, got {run.options.eval_episodes}")
+    ours, path = run.experiment.hyperparams, run.config_file
+    theirs = read_yaml(path) if path.is_file() else ours
+    if changed := [name for name in {**ours, **theirs} if ours.get(name) != theirs.get(name)]:
+        raise CommandError(f"{', '.join(changed)} of {run.resolved_file} must be as in {path} at the start")
     check_run(run, allow_mismatched_demos=True)  # the replay buffer contains the demonstrations
     checkpoint = _latest_checkpoint(run)
     steps = int(checkpoint.name.split("_")[1])
@@ -165,6 +169,7 @@ def _train(run: Run, checkpoint: Path | None, callbacks: Sequence[BaseCallback],
         logged = stack.enter_context(_tracked(run)) if run.options.track else run
         if checkpoint is None:
             clear(run)
+            copy_statistics(run)
         set_random_seed(run.seed)
         trainer = stack.enter_context(closing(Trainer(logged, checkpoint, callbacks, progress)))
         write_resolved(run)

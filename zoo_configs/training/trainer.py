@@ -21,7 +21,7 @@ from zoo_configs.errors import CommandError, reason, refused
 from zoo_configs.experiments.validation import policy_class
 from zoo_configs.training.certificate import Certificate
 from zoo_configs.training.evaluation import PeriodicEvaluation, TrainingLog
-from zoo_configs.training.objects import NOISES, TRAINER_KEYS, build_vec_env, described_classes, parsed
+from zoo_configs.training.objects import NOISES, TRAINER_KEYS, build_vec_env, described_callables, parsed
 from zoo_configs.training.runs import Run, cut_monitor_files, env_folder_name
 
 REJECTIONS = (AssertionError, MemoryError, RuntimeError, TypeError, ValueError)
@@ -109,18 +109,15 @@ class Trainer:
                 env.close()
 
     def _build_env(self, n_envs: int, **kwargs: Any) -> VecEnv:
-        statistics = None
-        if self.options.trained_agent:  # the statistics of the model that training starts from
-            folder = Path(self.options.trained_agent).parent
-            statistics = folder / env_folder_name(self.run.experiment.env_id) / self.run.statistics_file.name
         names = self.run.experiment.env_id, self.hyperparams, n_envs, self.run.seed
-        env = build_vec_env(*names, vec_env=self.options.vec_env, statistics=statistics, **kwargs)
+        kwargs["statistics"] = self.run.statistics_file  # also of a model that training starts from
+        env = build_vec_env(*names, vec_env=self.options.vec_env, **kwargs)
         self.envs.append(env)
         return env
 
     def _callbacks(self) -> list[BaseCallback]:
         """Build the callbacks of the hyperparameters, then progress bar, log, evaluation and checkpoints."""
-        options, described = self.options, described_classes(self.hyperparams.get("callback"))
+        options, described = self.options, described_callables(self.hyperparams.get("callback"))
         found: list[BaseCallback] = [cls(**kwargs) for cls, kwargs in described]
         if self.progress:
             found.append(TrainingBar())

@@ -116,12 +116,14 @@ def open_study(search: Search) -> optuna.Study:
 
 
 def _check_new(search: Search, study: optuna.Study) -> None:
-    """Check that no other program has begun a study without our attributes."""
+    """Check that no other program has begun a study without our attributes, and the folder has no trials."""
     trials = len(study.get_trials(deepcopy=False))
     is_new = not trials and not study.user_attrs and study.directions == [StudyDirection.MAXIMIZE]
     if not is_new and FOLDER not in study.user_attrs:  # with it, a process of ours was killed
         constraint = "a new study or one of bulletarm-zoo tune"
         raise CommandError(f"--study-name must be {constraint}, got {search.name} with {trials} trials")
+    if any(search.run.folder.glob("trial_*")):
+        raise CommandError(f"--storage must be that of the trials in {search.run.folder}, got a new study")
 
 
 def work(search: Search, study: optuna.Study, progress: bool = False) -> None:
