@@ -257,7 +257,7 @@ def palm_fits(scene: Scene, pose: Pose, obj: SceneObject) -> bool:
         return False
     outline = Footprint.rectangle((length, width), Pose((0.0, 0.0, 0.0)))
     others = _others(scene, obj, float(under[:, 2].min()))
-    return all(outline.gap(_footprint_above(other, pose, root)) > PALM_CLEARANCE for other in others)
+    return outline.gap(*(_footprint_above(other, pose, root) for other in others)) > PALM_CLEARANCE
 
 
 def _wrist_fits(scene: Scene, pose: Pose, obj: SceneObject) -> bool:
