@@ -34,10 +34,10 @@ OTHERS = {
 
 def callable_from_path(path: str) -> Callable[..., Any]:
     """Import a class or function from ``package.module.name``; raise ``ImportError`` if it is neither."""
-    found = pkgutil.resolve_name(path)
+    found: Callable[..., Any] = pkgutil.resolve_name(path)
     if not callable(found):
         raise ImportError(f"{path} is not a class or a function")
-    return found  # type: ignore[no-any-return]
+    return found
 
 
 def class_from_path(path: str) -> type[Any]:

@@ -267,7 +267,8 @@ def atomic_path(path: Path) -> Iterator[Path]:
         yield temporary
         os.replace(temporary, path)
     except OSError as error:
-        error.filename = error.filename or str(path)  # the error of a full disk has no file name
+        if error.errno is not None:
+            error.filename = error.filename or str(path)  # the error of a full disk has no file name
         raise
     finally:
         shutil.rmtree(temporary, ignore_errors=True)  # does nothing to a file

@@ -1,9 +1,10 @@
 """Planning of the next block of a structure: the expert of all tasks with a blueprint."""
 
+import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from functools import cached_property
+from functools import cache, cached_property, partial
 
 import numpy as np
 
@@ -46,6 +47,7 @@ class Builder:
         self._blocks = blocks
         self._rng = rng
         self._next_base: Pose | None = None
+        self._on_site = cache(partial(predicates.on_site, scene))
 
     def plan(self) -> Iterator[Waypoint]:
         """Yield the next pick or place."""
@@ -116,7 +118,7 @@ class Builder:
         if position.layer > 0:
             frame = self._support(position, placed)
             return planar_distance(block.pose.position, frame.position) < self._blueprint.side / 2.0
-        if not predicates.on_site(self._scene, block):
+        if not self._on_site(block):
             return False
         if position.place == 0:
             return True
@@ -223,34 +225,41 @@ class Builder:
     def _extendable(self, candidates: Sequence[Placed], position: Position) -> Placed | None:
         """Return the base with most space for its next block, whose frame is kept; None if none has."""
         found = [(*option, placed) for placed in candidates for option in self._options(placed, position)]
-        best = sorted(found, key=lambda option: -option[0])
-        if not best or (best[0][0] < CROWDED and self._site(self._spare(position, {})[0]) is not None):
+        ordered = sorted(found, key=lambda option: -option[0])
+        # Most options fail none of the slower checks, so only the first ones are checked.
+        possible = (one for one in ordered if self._is_possible(one[2], one[3]))
+        best = next(possible, None)
+        if best is None or (best[0] < CROWDED and self._site(self._spare(position, {})[0]) is not None):
             return None
-        fitting = (one for one in best if self._can_put(one[1], self._spare(position, one[2])[0]))
-        _, self._next_base, placed = next(fitting, best[0])
+        checked = itertools.chain([best], possible)
+        fitting = (one for one in checked if self._can_put(one[1], self._spare(position, one[3])[0]))
+        _, self._next_base, _, placed = next(fitting, best)
         return placed
 
-    def _options(self, placed: Placed, position: Position) -> Iterator[tuple[float, Pose]]:
-        """Yield the free distance (m) and the frame of places next to the last block of a base."""
+    def _options(self, placed: Placed, position: Position) -> Iterator[tuple[float, Pose, Footprint]]:
+        """Yield the free distance (m), the frame and the area of places next to the last block of a base."""
         base = list(placed.values())[: position.place]
         block = self._spare(position, placed)[0]
         if self._misplaced(placed) is not None:
             return
         others = [footprint(other) for other in self._loose(placed) if other is not block]
-        first, last = footprint(base[0]), footprint(base[-1])
+        last, centre = footprint(base[-1]), footprint(base[-1]).centre
         width, length, _ = pick_place.resting_box(block).sides
         half = length / 2.0
         for heading in self._headings(base):
             along = np.array([math.cos(heading), math.sin(heading)])
-            reach = float(((last.points - last.centre) @ along).max())
+            reach = float(((last.points - centre) @ along).max())
             for gap in self._blueprint.gaps(position, 2.0 * (reach + half), self._blocks):
-                x, y = (float(value) for value in last.centre + (reach + gap + half) * along)
+                x, y = (float(value) for value in centre + (reach + gap + half) * along)
                 frame = Pose.planar(x, y, self._scene.surface.level, heading - math.pi / 2.0)
                 area = Footprint.rectangle((width, 2.0 * half), frame)
-                on_site = self._scene.surface.fits_site(area.grown(BUILD_TOLERANCE))
-                if on_site and self._supports(first, area):
-                    free = min((area.gap(other) for other in others), default=MARGINS[0])
-                    yield min(free, MARGINS[0]) - PREFERENCE * gap, frame
+                yield min(area.gap(*others), MARGINS[0]) - PREFERENCE * gap, frame, area
+
+    def _is_possible(self, area: Footprint, placed: Placed) -> bool:
+        """Return True if an area is on the site, and the block above it and the first block of a base too."""
+        first = footprint(next(iter(placed.values())))
+        on_site = self._scene.surface.fits_site(area.grown(BUILD_TOLERANCE))
+        return on_site and self._supports(first, area)
 
     def _headings(self, base: Sequence[SceneObject]) -> list[float]:
         """Return the directions (rad) from the last block of a base to its next block."""

@@ -131,13 +131,13 @@ def pick(scene: Scene, obj: SceneObject, rng: np.random.Generator, opening: floa
     The fingers close across the shorter side, or along it if they collide otherwise.
 
     :param rng: samples a grasp if all of them collide; the sampled grasp may succeed nevertheless
-    :param opening: largest distance (m) between the open fingers, at most the stroke
+    :param opening: distance (m) between the open fingers, limited by the stroke
     """
     frame = resting_frame(obj)
     _, length, height = resting_box(obj).sides
     gripper = scene.robot.model.gripper
-    is_narrow = length + OPENING_PLAY <= min(opening, gripper.stroke)
-    yaws = [0.0, math.pi / 2.0] if is_box(obj) and is_narrow else [0.0]
+    fits_along = length + OPENING_PLAY <= min(opening, gripper.stroke)
+    yaws = [0.0, math.pi / 2.0] if is_box(obj) and fits_along else [0.0]
     lifts = [share * height for share in (0.0, 0.15, 0.3)]
     poses = [_feasible(scene, frame.compose(Pose.planar(0.0, 0.0, z, yaw))) for z in lifts for yaw in yaws]
     sampled = poses[int(rng.integers(len(poses)))]
@@ -257,7 +257,7 @@ def palm_fits(scene: Scene, pose: Pose, obj: SceneObject) -> bool:
         return False
     outline = Footprint.rectangle((length, width), Pose((0.0, 0.0, 0.0)))
     others = _others(scene, obj, float(under[:, 2].min()))
-    return all(outline.gap(_footprint_above(other, pose, root)) > PALM_CLEARANCE for other in others)
+    return outline.gap(*(_footprint_above(other, pose, root) for other in others)) > PALM_CLEARANCE
 
 
 def _wrist_fits(scene: Scene, pose: Pose, obj: SceneObject) -> bool:

@@ -68,9 +68,13 @@ class Footprint:
         """
         return float((self.reach + self.reach[_OPPOSITE]).min())
 
-    def gap(self, other: "Footprint") -> float:
-        """Return a lower bound of the distance (m) to a footprint, negative where they may overlap."""
-        return -float((self.reach + other.reach[_OPPOSITE]).min())
+    def gap(self, *others: "Footprint") -> float:
+        """Return a lower bound of the distance (m) to the nearest of some footprints, infinite without one.
+
+        It is negative where they may overlap.
+        """
+        reaches = np.array([other.reach for other in others]).reshape(len(others), DIRECTIONS)
+        return -float((self.reach[_OPPOSITE] + reaches).min(axis=1).max(initial=-np.inf))
 
     def is_inside(self, limits: Sequence[Sequence[float]], margin: float = 0.0) -> bool:
         """Return True if the footprint keeps a margin (m) to limits [[x low, x high], [y low, y high]]."""

@@ -141,7 +141,7 @@ def load_object(path: str | os.PathLike[str], name: str, scale: float = 1.0) -> 
 
 
 def _read(path: Path, name: str, notes: Notes, scale: float = 1.0) -> BodySpec:
-    """Return the object of a file in the file's frame; the notes receive what a warning names."""
+    """Return the object of a file in the file's frame; add to the notes of the warning."""
     try:
         if path.suffix.lower() == ".urdf":
             spec = _from_urdf(path, name, notes)

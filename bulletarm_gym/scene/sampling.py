@@ -142,7 +142,7 @@ def free_pose(
     def fits(pose: Pose) -> bool:
         base = footprint(obj, pose)
         inside = scene.surface.fits(base, scene.surface.slide)
-        return inside and all(base.gap(other) >= gap for other in others) and allows(pose)
+        return inside and base.gap(*others) >= gap and allows(pose)
 
     return sample_until(draw, fits)
 
@@ -162,7 +162,7 @@ def free_site(
 
     def is_free(site: Pose) -> bool:
         base = Footprint.rectangle(size, site)
-        return all(base.gap(other) >= gap for other in covered)
+        return base.gap(*covered) >= gap
 
     return sample_until(lambda: goal_site(scene, rng, size), is_free)
 

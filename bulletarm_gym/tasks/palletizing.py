@@ -182,7 +182,7 @@ class BoxPalletizing(Task):
         taken = [footprint(box) for box in others if scene.world.top(box.body) > base.z + height / 2.0]
         frames = [base.compose(frame) for frame in places(layer, width, length)]
         areas = [Footprint.rectangle((width, length), frame) for frame in frames]
-        are_free = [all(area.gap(other) > 0.0 for other in taken) for area in areas]
+        are_free = [area.gap(*taken) > 0.0 for area in areas]
         return list(itertools.compress(frames, are_free))
 
 

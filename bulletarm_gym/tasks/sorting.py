@@ -155,7 +155,7 @@ def _has_space(scene: Scene, block: SceneObject) -> bool:
     yaws = (side, side + math.pi / 2.0) if rotates(scene) else (side,)
     others = [footprint(other) for other in scene if other is not block]
     areas = (Footprint.rectangle(FINGER_AREA, Pose.planar(*block.centre_of_mass, yaw)) for yaw in yaws)
-    return any(all(area.gap(other) > 0.0 for other in others) for area in areas)
+    return any(area.gap(*others) > 0.0 for area in areas)
 
 
 def _yaws(scene: Scene, block: SceneObject) -> tuple[list[float], list[float]]:

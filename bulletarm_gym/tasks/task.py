@@ -11,7 +11,6 @@ import numpy as np
 from bulletarm_gym.config import CLOSE_LOOP, OPEN_LOOP, EnvConfig, TaskDefaults, default_home_height
 from bulletarm_gym.config_checks import ParameterError, check_argument, instances, truth
 from bulletarm_gym.control import Control, GraspParams
-from bulletarm_gym.control.open_loop import MIN_PICK_HEIGHT
 from bulletarm_gym.experts import Waypoint
 from bulletarm_gym.experts.pick_place import OVERHANG
 from bulletarm_gym.geometry import FloatArray, Footprint, PlacementError, Pose
@@ -234,7 +233,7 @@ def check_scene(config: EnvConfig, default: EnvConfig, scene: Scene, task: Task)
 
     :param default: default parameters of the environment
     """
-    _check_heights(config, default, scene, task)
+    _check_heights(config, default, task)
     model = scene.robot.model
     if model.jumps_inside(config.workspace):
         base = f"its base at ({model.base.x:g}, {model.base.y:g}) and the line behind it, where it would jump"
@@ -249,20 +248,17 @@ def check_scene(config: EnvConfig, default: EnvConfig, scene: Scene, task: Task)
         _check_widths(config, scene, name)
 
 
-def _check_heights(config: EnvConfig, default: EnvConfig, scene: Scene, task: Task) -> None:
+def _check_heights(config: EnvConfig, default: EnvConfig, task: Task) -> None:
     """Check that the gripper can descend to the objects and lift them within the workspace."""
     low, high = config.workspace[2]
-    heights = [body.spec.extents[2] for obj in scene.objects for body in obj.bodies if body.spec.mass > 0.0]
-    needed = max if task.defaults.takes_object_set else min  # one graspable object is enough
-    smallest = needed(heights, default=CUBE_SIZE * min(config.scales))
-    bottom = low if config.control == CLOSE_LOOP else low + MIN_PICK_HEIGHT
+    smallest = CUBE_SIZE * min(config.scales)
     if high <= task.height:
         names = ["lift_height"] if task.height == config.lift_height else []
         names += ["workspace", "num_objects", "object_scale_range", "workspace"]
         must = f"such that the height to lift objects to, {task.height:.4g} m, is below the top, {high:g} m"
         raise _changed_error(config, default, names, must)
-    if bottom >= smallest:
-        must = f"such that the height of objects, {smallest:.4g} m, is above the lowest grasp, {bottom:g} m"
+    if config.control == CLOSE_LOOP and low >= smallest:
+        must = f"such that the height of objects, {smallest:.4g} m, is above the bottom, {low:g} m"
         names = ["object_scale_range"] if low < CUBE_SIZE * min(default.scales) else []
         raise _changed_error(config, default, [*names, "workspace"], must)
 

@@ -137,8 +137,6 @@ COMBINATIONS = [
     ("CloseLoopBlockPicking", {"workspace": square(0.3, 0.6, 0.01, 0.16)}, None),
     ("OpenLoopBlockStacking", {"workspace": square(0.3, 0.6, 0.0, 0.0155)}, "workspace"),
     ("OpenLoopBlockStacking", {"workspace": square(0.6, 0.9, 0.0, 1.0)}, "workspace"),
-    ("OpenLoopBlockStacking", {"workspace": square(0.3, 0.6, 0.026, 1.0)}, "workspace"),
-    ("CloseLoopCovidTest", {"workspace": [[0.25, 0.65], [-0.2, 0.2], [0.015, 0.3]]}, "workspace"),
     ("CloseLoopBlockPicking", {"home_height": 0.26}, "home_height"),
     ("OpenLoopBlockStacking", {"home_height": 0.02}, "home_height"),
     ("CloseLoopBlockPicking", {"lift_height": 0.25}, "lift_height"),

@@ -96,7 +96,7 @@ def described_callables(description: Any) -> list[tuple[Callable[..., Any], dict
         return []
     entries = description if isinstance(description, list) else [description]
     if wrong := [entry for entry in entries if isinstance(entry, dict) and len(entry) != 1]:
-        raise ValueError(f"an entry must be one class, or one class with arguments, got {wrong[0]}")
+        raise ValueError(f"an entry must be one class or function, or one with arguments, got {wrong[0]}")
     pairs = [next(iter(entry.items())) if isinstance(entry, dict) else (entry, {}) for entry in entries]
     return [(callable_from_path(path), dict(kwargs or {})) for path, kwargs in pairs]
 

@@ -95,10 +95,7 @@ def resume_run(run: Run, progress: bool = False) -> Run:
     begun = load_run(run.folder).options.eval_episodes
     if run.evaluations_file.is_file() and run.options.eval_episodes != begun:
         raise CommandError(f"eval_episodes must be {begun} as at the start, got {run.options.eval_episodes}")
-    ours, path = run.experiment.hyperparams, run.config_file
-    theirs = read_yaml(path) if path.is_file() else ours
-    if changed := [name for name in {**ours, **theirs} if ours.get(name) != theirs.get(name)]:
-        raise CommandError(f"{', '.join(changed)} of {run.resolved_file} must be as in {path} at the start")
+    _check_unedited(run)
     check_run(run, allow_mismatched_demos=True)  # the replay buffer contains the demonstrations
     checkpoint = _latest_checkpoint(run)
     steps = int(checkpoint.name.split("_")[1])
@@ -106,6 +103,14 @@ def resume_run(run: Run, progress: bool = False) -> Run:
         done = f"run {run.folder} is already finished ({steps} of {run.n_timesteps} steps)"
         raise CommandError(f"{done}. Pass a larger -n to continue.")
     return _train(run, checkpoint, (), progress)
+
+
+def _check_unedited(run: Run) -> None:
+    """Raise ``CommandError`` if the hyperparameters of a run have changed since its start."""
+    ours, path = run.experiment.hyperparams, run.config_file
+    theirs = read_yaml(path) if path.is_file() else ours
+    if changed := [name for name in {**ours, **theirs} if ours.get(name) != theirs.get(name)]:
+        raise CommandError(f"{', '.join(changed)} of {run.resolved_file} must be as in {path} at the start")
 
 
 def check_run(run: Run, allow_mismatched_demos: bool) -> None:
