@@ -21,13 +21,13 @@ from sb3_extensions.ferm import FERM
 from sb3_extensions.sacfd import SACfD
 from zoo_configs import recording
 from zoo_configs.agents import Agent, AgentQuery, find_agent
+from zoo_configs.cards import published_agents, read_card
 from zoo_configs.cli import main
 from zoo_configs.evaluating import EvalOptions, Outcome, evaluate_agent
 from zoo_configs.experiments.families import task_name
 from zoo_configs.provenance import arithmetic
 from zoo_configs.publishing import packing
 from zoo_configs.publishing.compact import save_compact, stored_weights
-from zoo_configs.publishing.published import published_agents, read_card
 
 FILE = "sacfd-BulletArm-CloseLoopToy-v0.zip"
 FILES = {FILE, "card.json", "README.md"}
