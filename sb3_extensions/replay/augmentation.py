@@ -66,10 +66,16 @@ class Compose(Augmentation):
     """
     Apply several augmentations in order.
 
-    :param steps: the augmentations; at most one with random windows
+    :param steps: the augmentations; at most one with random windows, and :class:`DrQ` last
+    :raises ValueError: if there are several with random windows, or another one follows DrQ
     """
 
     steps: tuple[Augmentation, ...]
+
+    def __post_init__(self) -> None:
+        windows = [step for step in self.steps if step.window is not None]
+        if len(windows) > 1 or any(isinstance(step, DrQ) for step in self.steps[:-1]):
+            raise ValueError(f"augmentation must have at most one of RAD and DrQ, DrQ last, got {self.steps}")
 
     def __call__(
         self, samples: ExpertReplayBufferSamples, generator: th.Generator

@@ -132,8 +132,8 @@ def make_augmentation(spec: AugmentationSpec, action_sequence: str | None = None
     """
     Create an augmentation from its specification.
 
-    :param spec: an augmentation, None, a name (``"drq"``), or names with their arguments in the order of
-        application (``{"rotation": {}, "rad": {"size": 64}}``)
+    :param spec: an augmentation, None, a name (``"drq"``), or names with their arguments
+        (``{"rotation": {}, "rad": {"size": 64}}``), of which a rotation is applied first
     :param action_sequence: default ``action_sequence`` of a rotation
     :raises ValueError: if the specification is something else
     """

@@ -21,7 +21,7 @@ from sb3_extensions.encoders.observation import SceneView
 from sb3_extensions.equivariant.groups import FieldType, Group
 from sb3_extensions.equivariant.layers import EquivariantConv2d, EquivariantLinear, GroupMaxPool
 from sb3_extensions.ferm import FERM
-from sb3_extensions.replay.augmentation import RAD, DrQ
+from sb3_extensions.replay.augmentation import RAD, Compose, DrQ
 from sb3_extensions.replay.buffer import ExpertReplayBuffer
 from sb3_extensions.replay.quantisation import Quantiser
 from sb3_extensions.replay.rotation import Rotation, make_augmentation
@@ -309,6 +309,8 @@ UNBOUNDED = box(1, 8, 8, high=np.inf)
         (lambda: make_augmentation("rda"), "augmentation rotation, rad, drq, 'rda'"),
         (lambda: make_augmentation({"rad": {"sise": 3}}), "augmentation sise"),
         (lambda: make_augmentation({"rad": {"size": 0}}), "size 0"),
+        (lambda: make_augmentation({"rad": {"size": 12}, "drq": {}}), "augmentation RAD DrQ"),
+        (lambda: Compose((DrQ(), Rotation())), "augmentation DrQ Rotation"),
         (lambda: make_augmentation({"drq": {"pad": 1.5}}), "pad integer 1.5"),
         (lambda: Rotation(probability=1.5), "probability 1.5"),
         (lambda: Rotation(action_sequence="pz"), "action_sequence 'pz'"),
