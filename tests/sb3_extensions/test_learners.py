@@ -168,6 +168,8 @@ def test_unfitting_environments_are_refused(monkeypatch, make_toy, make_learner,
     monkeypatch.setattr(type(env.envs[0].unwrapped), "action_ranges", {"theta": (0.0, 3.1)}, raising=False)
     with pytest.raises(ValueError, match=r"policy .*got EquivariantPolicy"):
         make_learner(env, policy="EquivariantPolicy")
+    with pytest.raises(ValueError, match=r"augmentation .*yaw, got Rotation"):
+        make_learner(env, augmentation="rotation")
 
 
 SMALL_EQUIVARIANT = {"features_extractor_kwargs": {"n": 4, "channels": [4, 4, 4, 4, 4]}}
