@@ -25,8 +25,8 @@ class DaggerCallback(BaseCallback):
 
     def _on_training_start(self) -> None:
         if not getattr(self.model, "bc_weight", 0.0):
-            algorithm = type(self.model).__name__
-            raise ValueError(f"model must be SACfD with bc_weight above 0 for DaggerCallback, got {algorithm}")
+            must, got = "SACfD with bc_weight above 0", type(self.model).__name__
+            raise ValueError(f"model must be {must} for DaggerCallback, got {got}")
         if not self.training_env.has_attr("expert_action"):
             raise ValueError("env must have expert_action() for DaggerCallback, this one has none")
         self._actions = None
