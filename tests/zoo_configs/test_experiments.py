@@ -81,6 +81,7 @@ def test_the_paper_preset_has_the_default_arguments_of_the_algorithms():
 def test_every_experiment_is_valid():
     for names in ALL:
         check_experiment(resolve(*names))
+    check_experiment(resolve("sdqfd_fcn", "cpu", STACKING, {"augmentation": "rigid_motion"}))
 
 
 def time_limit(env_id):
