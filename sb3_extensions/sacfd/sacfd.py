@@ -63,7 +63,7 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
         with arguments (``{"rad": {"size": 128}}``), or an
         :class:`~sb3_extensions.replay.augmentation.Augmentation`
     :param expert_noise: standard deviation of Gaussian noise on the expert's executed actions, in the
-        policy's units. Source: https://arxiv.org/abs/1703.09327
+        policy's units; without effect on ``expert_data``. Source: https://arxiv.org/abs/1703.09327
     :param pretrain_steps: number of updates on the demonstrations before the first step in the environment.
         They update the actor alone, by the imitation term. Source: https://arxiv.org/abs/1709.10087
     :param critic_warmup_steps: number of the last ``pretrain_steps`` that update everything (own addition,
