@@ -86,6 +86,9 @@ TRAIN -params "replay_buffer_kwargs:{samplr: uniform}"            => 'sampler'
 TRAIN -params "replay_buffer_kwargs:{sampler: priority}"          => priority
 TRAIN -params replay_buffer_class:no_package.Buffer               => no_package
 TRAIN -params augmentation:rda                                    => rotation
+TRAIN --dry-run -params bc_weight:-1                              => bc_weight
+TUNE -params critic_warmup_steps:x                                => critic_warmup_steps
+train --baseline sdqfd_fcn --env STACKING -params augmentation:drq => rigid_motion
 DEMOS --env-kwargs obs_size=64                                    => 'obs_size=64'
 DEMOS --env-kwargs obssize:64                                     => 'obs_size'
 DEMOS --env-kwargs robot:x                                        => 'kuka'
@@ -197,7 +200,7 @@ def test_a_missing_package_is_named(refuse, monkeypatch):
 
 
 def test_a_learner_that_cannot_be_built_leaves_nothing(refuse):
-    more = ["expert_episodes:0", "pretrain_steps:0", "n_envs:1", "learning_starts:0", "tau:1", "bc_limit:x"]
+    more = ["expert_episodes:0", "pretrain_steps:0", "n_envs:1", "learning_starts:0", "tau:1", "ent_coef:x"]
     refuse(*TRAIN.split(), "-n", "20", "--eval-freq", "0", "-params", *more)
 
 
