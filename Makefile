@@ -9,7 +9,7 @@ DEMO_LOGS ?= logs/demo
 DEMO = --baseline equi_sacfd --env BulletArm/CloseLoopBlockPicking-v0 --preset quick -f $(DEMO_LOGS)
 PYTEST_FLAGS ?=
 
-.PHONY: venv demo tables pictures test lint format type selfcheck docs clean
+.PHONY: venv demo tables images test lint format type selfcheck docs clean
 .DEFAULT_GOAL := venv
 
 venv: $(VENV)/installed-dev
@@ -52,7 +52,7 @@ docs: $(VENV)/installed-docs
 	$(BIN)/mkdocs build --strict
 
 # Images of all tasks and chart of success rates in docs/images.
-pictures: venv
+images: venv
 	$(BIN)/python tools/draw_gallery.py -o docs/images/tasks --heightmap --pixels 560
 	$(BIN)/python tools/draw_success.py CloseLoop -o docs/images/success_closed_loop.png
 

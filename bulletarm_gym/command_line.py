@@ -15,13 +15,13 @@ from bulletarm_gym.env import ManipulationEnv
 def add_environment_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments that :func:`make_env` and the seeds of episodes need."""
     add = parser.add_argument
-    many: dict[str, Any] = {"nargs": "+", "action": "extend", "default": []}
+    many: dict[str, Any] = {"action": "extend", "default": []}
     text = "seed of the first episode; each further episode adds 1 (0)"
     add("--seed", type=integer_from(0), default=0, help=text)
     text = "parameters of the environment; a value is JSON, or else text"
-    add("--env-kwargs", type=_key_value, metavar="KEY:VALUE", help=text, **many)
+    add("--env-kwargs", nargs="+", type=_key_value, metavar="KEY:VALUE", help=text, **many)
     text = "modules to import, which register your own tasks and components"
-    add("--gym-packages", metavar="MODULE", help=text, **many)
+    add("--gym-packages", type=lambda names: names.split(","), metavar="MODULE[,MODULE]", help=text, **many)
 
 
 def _key_value(text: str) -> tuple[str, Any]:

@@ -16,7 +16,7 @@ from fill_tables import filled
 from zoo_configs import parsers
 from zoo_configs.cli import COMMANDS
 from zoo_configs.experiments.flags import find_experiment
-from zoo_configs.experiments.validation import check_experiment
+from zoo_configs.training.validation import check_experiment
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])

@@ -1,4 +1,4 @@
-"""Imports point one way: between the three packages, and between the modules of ``bulletarm_gym``."""
+"""Imports point one way: between the three packages, and between the modules and subpackages of each."""
 
 import ast
 import graphlib
@@ -83,13 +83,20 @@ def test_packages_import_one_way(package):
         assert not names & set(FORBIDDEN[package].split()), path
 
 
-def test_modules_import_one_way():
+@pytest.mark.parametrize("package", FORBIDDEN)
+def test_modules_and_subpackages_have_no_import_cycle(package):
     graph: dict[str, set[str]] = {}
+    for path in (ROOT / package).rglob("*.py"):
+        part = path.relative_to(ROOT / package).parts[0].removesuffix(".py")
+        names = {name.split(".")[1] for name in _imported(path) if name.startswith(f"{package}.")}
+        graph.setdefault(part, set()).update(names - {part})
+    graphlib.TopologicalSorter(graph).prepare()  # raises CycleError with the cycle
+
+
+def test_modules_import_one_way():
     for module, path in FILES:
         imported = _own(path)
         assert all(LEVEL[name] <= LEVEL[module] for name in imported), f"{path} imports {imported}"
-        graph.setdefault(module, set()).update(imported - {module})
-    graphlib.TopologicalSorter(graph).prepare()  # raises CycleError with the circle
 
 
 def test_only_simulation_uses_the_engine():

@@ -12,9 +12,9 @@ from stable_baselines3.common.save_util import load_from_zip_file
 from sb3_extensions.common.env_metadata import constructor_arguments
 from zoo_configs.algorithms import ALGORITHMS, algorithm_classes
 from zoo_configs.arguments import check_device
+from zoo_configs.cards import Card, find_published
 from zoo_configs.environments import known_env_id, register_environments
 from zoo_configs.errors import CommandError, check_names, refused
-from zoo_configs.publishing.published import Card, find_published
 from zoo_configs.training.runs import RESOLVED_FILE, Run, find_runs, load_run
 
 UNUSED_OBJECTS: dict[str, Any] = {

@@ -114,18 +114,18 @@ def _record_episode(actor: Actor, seed: int, title: str) -> Iterator[tuple[Frame
         caption = f"{actor.task}, {actor.name}, {title}: {outcome}"
         images = list(observed_images(seen, env))
         values = actor.evaluate_pixels(seen) if actor.evaluate_pixels else None
-        picture: Any = env.render()
-        yield compose_frame(picture, images, caption, success, values), success
+        scene: Any = env.render()
+        yield compose_frame(scene, images, caption, success, values), success
         if over:
             return
         unwrapped: Any = env.unwrapped
         motion = unwrapped.viewer.record_images(env.render) if _is_open_loop(env) else nullcontext(())
-        with motion as pictures:  # images of the motion during an open-loop action
+        with motion as rendered:  # images of the motion during an open-loop action
             action, state = actor.act(seen, state)
             seen, _, terminated, truncated, info = env.step(action)
         over = terminated or truncated
-        for picture in pictures:
-            yield compose_frame(picture, images, caption, success, values), success
+        for image in rendered:
+            yield compose_frame(image, images, caption, success, values), success
 
 
 def _is_open_loop(env: gym.Env[Any, Any]) -> bool:

@@ -193,12 +193,12 @@ def _listed(values: Mapping[int, float]) -> str:
     return ", ".join(f"{seed}: {value:.2f}" for seed, value in values.items())
 
 
-def write_tables(experiments: Sequence[ExperimentResults], picture: Path) -> list[Path]:
+def write_tables(experiments: Sequence[ExperimentResults], figure: Path) -> list[Path]:
     """Write a Markdown page with figure, tables and commands, and a CSV of the runs, next to a figure."""
-    page, table = picture.with_suffix(".md"), picture.with_suffix(".csv")
+    page, table = figure.with_suffix(".md"), figure.with_suffix(".csv")
     results = [(one.env_id, one.label, result) for one in experiments for result in one.results.values()]
     parts = [
-        f"![Success in the evaluations, mean over the seeds and its standard error]({picture.name})",
+        f"![Success in the evaluations, mean over the seeds and its standard error]({figure.name})",
         markdown_table(HEADS, list(map(experiment_row, experiments))),
         markdown_table(BASELINE_HEADS, baseline_rows(experiments)),
         EXPLANATION,

@@ -19,6 +19,13 @@ from bulletarm_gym.command_line import add_environment_arguments, integer_from, 
 from bulletarm_gym.env import ManipulationEnv
 from bulletarm_gym.registry import ROBOTS
 
+IDS = ("ids",)
+SUBJECTS = {
+    **dict.fromkeys(("episodes", "seed", "env_kwargs", "gym_packages"), IDS),
+    **{"workspace": ("--robot",), "image": ("--robot", *IDS), "seconds": ("",)},
+}
+"""What each argument applies to: ids, a robot, or "" for this machine."""
+
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the checks and return the exit status."""
@@ -54,13 +61,16 @@ def _image_path(text: str) -> Path:
 
 
 def _check_arguments(parser: argparse.ArgumentParser, args: argparse.Namespace) -> None:
-    """Exit with a message if arguments are invalid or do not fit together."""
+    """Exit with a message if arguments do not fit together."""
     if args.robot is not None and args.env:
         parser.error("--robot must be passed without ids. Use --env-kwargs robot:NAME.")
-    if args.robot is None and args.workspace:
-        parser.error("--robot must be passed with --workspace")
-    if args.image is not None and args.robot is None and len(args.env) != 1:
-        parser.error("--robot or one id must be passed with --image")
+    subject = "--robot" if args.robot is not None else "ids" if args.env else ""
+    for name, subjects in SUBJECTS.items():
+        if subject not in subjects and getattr(args, name) != parser.get_default(name):
+            must = " or ".join(filter(None, subjects)) or "neither --robot nor ids"
+            parser.error(f"--{name.replace('_', '-')} must be passed with {must}")
+    if args.image is not None and len(args.env) > 1:
+        parser.error("--image must be passed with one id")
 
 
 def _check(args: argparse.Namespace) -> list[str]:

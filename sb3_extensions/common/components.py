@@ -11,7 +11,7 @@ def make_components(
     parameter: str, spec: Any, classes: Mapping[str, Callable[..., Component]]
 ) -> list[Component]:
     """
-    Create components from their specification.
+    Create components from their specification, in the order of their classes.
 
     :param parameter: name of the parameter, for messages
     :param spec: None, a name (``"drq"``), or names with arguments (``{"rad": {"size": 64}}``)
@@ -24,7 +24,7 @@ def make_components(
             f"{parameter} must be None, one of {', '.join(classes)}, or names with arguments, got {spec!r}"
         )
     try:
-        return [classes[name](**(arguments or {})) for name, arguments in named.items()]
+        return [make(**(named[name] or {})) for name, make in classes.items() if name in named]
     except TypeError as error:
         raise ValueError(f"{parameter} must have valid arguments, got {spec!r}: {error}") from error
 

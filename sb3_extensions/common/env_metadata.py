@@ -40,6 +40,20 @@ def action_sequence(env: VecEnv | None, action_space: spaces.Space[Any]) -> str 
     return sequence if is_valid else None
 
 
+def has_absolute_yaw(env: VecEnv | None) -> bool:
+    """
+    Return True if actions have a yaw in the world, the theta of open-loop actions.
+
+    It changes when the scene is rotated. The r of a closed-loop action is relative to the gripper.
+    """
+    return "theta" in _ranges(env)
+
+
+def _ranges(env: VecEnv | None) -> Mapping[str, Any]:
+    attribute = env_attribute(env, RANGES)
+    return attribute if isinstance(attribute, Mapping) else {}
+
+
 def with_action_metadata(
     policy_class: type[Any], kwargs: Mapping[str, Any] | None, env: VecEnv | None, space: spaces.Space[Any]
 ) -> dict[str, Any]:
@@ -51,12 +65,8 @@ def with_action_metadata(
 
     :raises ValueError: if the policy rotates actions with the scene, but the actions have an absolute yaw
     """
-    keys, passed = constructor_arguments(policy_class), dict(kwargs or {})
-    attribute = env_attribute(env, RANGES)
-    ranges: Mapping[str, Any] = attribute if isinstance(attribute, Mapping) else {}
-    # The theta of an open-loop action is a yaw in the world, which changes when the scene is rotated. The r
-    # of a closed-loop action is relative to the gripper.
-    if SEQUENCE in keys and GRID not in keys and "theta" in ranges:
+    keys, passed, ranges = constructor_arguments(policy_class), dict(kwargs or {}), _ranges(env)
+    if SEQUENCE in keys and GRID not in keys and has_absolute_yaw(env):
         raise ValueError(
             "policy must be 'MultiInputPolicy' for open-loop actions with a yaw, got "
             f"{policy_class.__name__}. Use SDQfD('EquivariantASRPolicy', ...) for an equivariant network"

@@ -16,7 +16,7 @@ class DaggerCallback(BaseCallback):
 
     The agent's action is executed. Source: DAgger, https://arxiv.org/abs/1011.0686
 
-    :raises ValueError: at the start of ``learn()``, if the algorithm is not one of this package, or the
+    :raises ValueError: at the start of ``learn()``, if the algorithm does not imitate (``bc_weight``), or the
         environment has no ``expert_action()``
     """
 
@@ -24,9 +24,9 @@ class DaggerCallback(BaseCallback):
     _actions: npt.NDArray[Any] | None = None
 
     def _on_training_start(self) -> None:
-        if not isinstance(self.model, OffPolicyFromDemonstrations):
-            algorithm = type(self.model).__name__
-            raise ValueError(f"model must learn from demonstrations for DaggerCallback, got {algorithm}")
+        if not getattr(self.model, "bc_weight", 0.0):
+            must, got = "SACfD with bc_weight above 0", type(self.model).__name__
+            raise ValueError(f"model must be {must} for DaggerCallback, got {got}")
         if not self.training_env.has_attr("expert_action"):
             raise ValueError("env must have expert_action() for DaggerCallback, this one has none")
         self._actions = None

@@ -15,7 +15,7 @@ from stable_baselines3.common.type_aliases import MaybeCallback, RolloutReturn, 
 from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_extensions.common.components import check_fraction, check_integer
-from sb3_extensions.common.env_metadata import action_sequence, with_action_metadata
+from sb3_extensions.common.env_metadata import action_sequence, has_absolute_yaw, with_action_metadata
 from sb3_extensions.demonstrations.collection import ActionTransform, make_progress_bar
 from sb3_extensions.demonstrations.episodes import EpisodeData
 from sb3_extensions.demonstrations.expert_envs import collect_from_copies
@@ -89,7 +89,7 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
         self.policy_kwargs = kwargs
         self.augmentation = make_augmentation(self.augmentation, action_sequence(self.env, self.action_space))
         if self.augmentation is not None:
-            self.augmentation.check(self.observation_space)
+            self.augmentation.check(self.observation_space, has_absolute_yaw(self.env))
             self.policy_kwargs = self.augmentation.with_crop(self.policy_kwargs)
         passed_kwargs = self.replay_buffer_kwargs
         self.replay_buffer_kwargs = {**self._buffer_defaults(), **passed_kwargs}

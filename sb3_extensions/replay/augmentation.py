@@ -32,8 +32,13 @@ class Augmentation(ABC):
         :param generator: random generator on the CPU
         """
 
-    def check(self, space: spaces.Space[Any]) -> None:  # noqa: B027
-        """Raise a ValueError if observations of a space cannot be augmented."""
+    def check(self, space: spaces.Space[Any], has_absolute_yaw: bool = False) -> None:  # noqa: B027
+        """
+        Raise a ValueError if samples cannot be augmented.
+
+        :param space: space of the observations
+        :param has_absolute_yaw: whether actions have a yaw in the world
+        """
 
     @property
     def window(self) -> RandomWindow | None:
@@ -66,10 +71,16 @@ class Compose(Augmentation):
     """
     Apply several augmentations in order.
 
-    :param steps: the augmentations; at most one with random windows
+    :param steps: the augmentations; at most one with random windows, and :class:`DrQ` last
+    :raises ValueError: if there are several with random windows, or another one follows DrQ
     """
 
     steps: tuple[Augmentation, ...]
+
+    def __post_init__(self) -> None:
+        windows = [step for step in self.steps if step.window is not None]
+        if len(windows) > 1 or any(isinstance(step, DrQ) for step in self.steps[:-1]):
+            raise ValueError(f"augmentation must have at most one of RAD and DrQ, DrQ last, got {self.steps}")
 
     def __call__(
         self, samples: ExpertReplayBufferSamples, generator: th.Generator
@@ -79,10 +90,10 @@ class Compose(Augmentation):
             samples = step(samples, generator)
         return samples
 
-    def check(self, space: spaces.Space[Any]) -> None:
+    def check(self, space: spaces.Space[Any], has_absolute_yaw: bool = False) -> None:
         """Check all augmentations."""
         for step in self.steps:
-            step.check(space)
+            step.check(space, has_absolute_yaw)
 
     @property
     def window(self) -> RandomWindow | None:
@@ -106,7 +117,7 @@ class RandomWindow(Augmentation):
         """This augmentation."""
         return self
 
-    def check(self, space: spaces.Space[Any]) -> None:
+    def check(self, space: spaces.Space[Any], has_absolute_yaw: bool = False) -> None:
         """Check that there are images larger than a window."""
         side = scene_side(space)
         if self.size is not None and side <= self.size:

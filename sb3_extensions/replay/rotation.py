@@ -82,9 +82,11 @@ class Rotation(Augmentation):
         if "x" not in sequence:
             raise ValueError(f"action_sequence must have x and y to rotate, got {self.action_sequence!r}")
 
-    def check(self, space: spaces.Space[object]) -> None:
-        """Check that there are square images to rotate."""
+    def check(self, space: spaces.Space[object], has_absolute_yaw: bool = False) -> None:
+        """Check that there are square images to rotate, and that the r of actions stays the same."""
         scene_side(space)
+        if has_absolute_yaw:
+            raise ValueError(f"augmentation must not rotate open-loop actions with a yaw, got {self}")
 
     def __call__(
         self, samples: ExpertReplayBufferSamples, generator: th.Generator
@@ -132,8 +134,8 @@ def make_augmentation(spec: AugmentationSpec, action_sequence: str | None = None
     """
     Create an augmentation from its specification.
 
-    :param spec: an augmentation, None, a name (``"drq"``), or names with their arguments in the order of
-        application (``{"rotation": {}, "rad": {"size": 64}}``)
+    :param spec: an augmentation, None, a name (``"drq"``), or names with their arguments
+        (``{"rotation": {}, "rad": {"size": 64}}``), of which a rotation is applied first
     :param action_sequence: default ``action_sequence`` of a rotation
     :raises ValueError: if the specification is something else
     """

@@ -19,7 +19,7 @@ from sb3_extensions.common.components import check_integer, check_not_negative
 from sb3_extensions.demonstrations.collection import ActionTransform, add_noise
 from sb3_extensions.demonstrations.off_policy import Logs, OffPolicyFromDemonstrations
 from sb3_extensions.demonstrations.validation import ExpertData
-from sb3_extensions.replay.rotation import AugmentationSpec
+from sb3_extensions.replay.rotation import AugmentationSpec, make_augmentation
 from sb3_extensions.replay.samples import ExpertReplayBufferSamples, compute_next_values
 from sb3_extensions.sacfd.policies import EquivariantPolicy, MultiInputPolicy, SACfDPolicy, StatePolicy
 
@@ -70,7 +70,7 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
         with arguments (``{"rad": {"size": 128}}``), or an
         :class:`~sb3_extensions.replay.augmentation.Augmentation`
     :param expert_noise: standard deviation of Gaussian noise on the expert's executed actions, in the
-        policy's units. Source: https://arxiv.org/abs/1703.09327
+        policy's units; without effect on ``expert_data``. Source: https://arxiv.org/abs/1703.09327
     :param pretrain_steps: number of updates on the demonstrations before the first step in the environment.
         They update the actor alone, by the imitation term. Source: https://arxiv.org/abs/1709.10087
     :param critic_warmup_steps: number of the last ``pretrain_steps`` that update everything (own addition,
@@ -160,6 +160,7 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
 
     def _check_arguments(self) -> None:
         self._check_demonstrations()
+        make_augmentation(self.augmentation)
         check_not_negative(bc_weight=self.bc_weight, expert_noise=self.expert_noise)
         check_integer(0, critic_warmup_steps=self._warmup_steps)
         check_integer(1, target_update_interval=self.target_update_interval)

@@ -90,7 +90,7 @@ def test_faults_of_a_users_task_are_found(tmp_path, monkeypatch, capsys):
     monkeypatch.syspath_prepend(str(tmp_path))
     names = ("NoPlan", "Properties", "Mass", "Friction", "Gravity")
     ids = [f"BulletArm/CloseLoop{name}-v0" for name in names]
-    own = ["--gym-packages", "my_checked_tasks", "-n", "1", "--env-kwargs", "obs_size:16"]
+    own = ["--gym-packages", "json,my_checked_tasks", "-n", "1", "--env-kwargs", "obs_size:16"]
     assert main([*ids, *own]) == 2
     out, err = capsys.readouterr()
     reports = dict(zip(names, out.split("BulletArm/CloseLoop")[1:], strict=True))
@@ -201,6 +201,9 @@ def test_successful_episodes_are_recorded(play, capsys):
         (main, f"{REACHING} --robot kuka", "--robot"),
         (main, f"{REACHING} --seed -1", "--seed"),
         (main, "--image arm.png", "--image"),
+        (main, "--robot kuka --env-kwargs obs_size:64", "--env-kwargs"),
+        (main, "-n 3", "--episodes"),
+        (main, f"{REACHING} --seconds 5", "--seconds"),
         (main, "--robot kuka --image missing/arm.png", "missing/arm.png"),
         (main_of_play, "CartPole-v1", "CartPole-v1"),
         (main_of_play, "BulletArm/CloseLoopBlockPiking-v0", "CloseLoopBlockPicking"),

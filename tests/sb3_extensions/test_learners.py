@@ -21,7 +21,7 @@ from sb3_extensions.encoders.observation import SceneView
 from sb3_extensions.equivariant.groups import FieldType, Group
 from sb3_extensions.equivariant.layers import EquivariantConv2d, EquivariantLinear, GroupMaxPool
 from sb3_extensions.ferm import FERM
-from sb3_extensions.replay.augmentation import RAD, DrQ
+from sb3_extensions.replay.augmentation import RAD, Compose, DrQ
 from sb3_extensions.replay.buffer import ExpertReplayBuffer
 from sb3_extensions.replay.quantisation import Quantiser
 from sb3_extensions.replay.rotation import Rotation, make_augmentation
@@ -163,6 +163,8 @@ def test_unfitting_environments_are_refused(monkeypatch, make_toy, make_learner,
     monkeypatch.setattr(type(env.envs[0].unwrapped), "action_ranges", {"theta": (0.0, 3.1)}, raising=False)
     with pytest.raises(ValueError, match=r"policy .*got EquivariantPolicy"):
         make_learner(env, policy="EquivariantPolicy")
+    with pytest.raises(ValueError, match=r"augmentation .*yaw, got Rotation"):
+        make_learner(env, augmentation="rotation")
 
 
 SMALL_EQUIVARIANT = {"features_extractor_kwargs": {"n": 4, "channels": [4, 4, 4, 4, 4]}}
@@ -304,6 +306,8 @@ UNBOUNDED = box(1, 8, 8, high=np.inf)
         (lambda: make_augmentation("rda"), "augmentation rotation, rad, drq, 'rda'"),
         (lambda: make_augmentation({"rad": {"sise": 3}}), "augmentation sise"),
         (lambda: make_augmentation({"rad": {"size": 0}}), "size 0"),
+        (lambda: make_augmentation({"rad": {"size": 12}, "drq": {}}), "augmentation RAD DrQ"),
+        (lambda: Compose((DrQ(), Rotation())), "augmentation DrQ Rotation"),
         (lambda: make_augmentation({"drq": {"pad": 1.5}}), "pad integer 1.5"),
         (lambda: Rotation(probability=1.5), "probability 1.5"),
         (lambda: Rotation(action_sequence="pz"), "action_sequence 'pz'"),

@@ -182,9 +182,10 @@ def test_dagger_needs_an_expert(make_learner):
         model.learn(5, callback=DaggerCallback())
 
 
-def test_dagger_needs_an_algorithm_with_demonstrations(make_toy):
-    with pytest.raises(ValueError, match=r"^model must .*, got SAC$"):
-        SAC("MultiInputPolicy", make_toy(), buffer_size=10).learn(5, callback=DaggerCallback())
+def test_dagger_needs_an_algorithm_that_imitates(make_toy, make_learner):
+    for model in (SAC("MultiInputPolicy", make_toy(), buffer_size=10), make_learner(bc_weight=0.0)):
+        with pytest.raises(ValueError, match=r"^model must .*bc_weight.*, got SAC"):
+            model.learn(5, callback=DaggerCallback())
 
 
 @pytest.fixture

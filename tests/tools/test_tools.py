@@ -51,7 +51,8 @@ def test_no_page_is_written_if_one_cannot_be_filled(text, tmp_path, monkeypatch)
     assert {page: page.read_text() for page in pages} == pages
 
 
-TOOLS = Path(__file__).resolve().parents[2] / "tools"
+ROOT = Path(__file__).resolve().parents[2]
+TOOLS = ROOT / "tools"
 REACHING = "BulletArm/CloseLoopBlockReaching-v0"
 STACKING = "BulletArm/OpenLoopBlockStacking-v0"
 
@@ -62,7 +63,7 @@ def run(monkeypatch, program, *words):
 
 
 def test_speed_is_compared_with_a_reference(tmp_path, monkeypatch):
-    rates, data = TOOLS.parent / "docs" / "data" / "reference_rates.csv", tmp_path / "speed.csv"
+    rates, data = ROOT / "docs" / "data" / "reference_rates.csv", tmp_path / "speed.csv"
     words = ["--env", REACHING, "--seconds", "0.1", "--reference", str(rates), "--data", str(data)]
     run(monkeypatch, "measure_speed.py", *words)
     [row] = DataFile(data, ("env",)).read()
@@ -89,32 +90,13 @@ def test_tasks_are_drawn(tmp_path, monkeypatch):
     assert iio.imread(tmp_path / names[1]).shape == (30, 52, 3)
 
 
-def test_tasks_with_one_value_of_a_setting_have_no_line_over_it(tmp_path, monkeypatch):
-    import draw_curves
-
-    rows = [("A-v0", 5), ("A-v0", 10), ("B-v0", 10)]
-    lines = [
-        f'BulletArm/{env},"sacfd, expert_episodes={count}",0,success rate,20,0:0.5 9:1,,,,'
-        for env, count in rows
-    ]
-    data, image = tmp_path / "curves.csv", tmp_path / "over.png"
-    data.write_text(
-        "\n".join(["env,baseline,seed,measure,episodes,evaluations,machine,date,commit,command", *lines, ""])
-    )
-    drawn = []
-    monkeypatch.setattr(
-        draw_curves,
-        "draw_setting",
-        lambda lines, *_: drawn.append({env: list(points) for env, points in lines.items()}),
-    )
-    monkeypatch.setattr(
-        sys, "argv", ["draw_curves.py", str(data), "--over", "expert_episodes", "-o", str(image)]
-    )
-    draw_curves.main()
-    assert drawn == [{"BulletArm/A-v0": [5, 10]}]
+@pytest.mark.parametrize("more", [[], ["--over", "expert_episodes"]], ids=" ".join)
+def test_curves_are_drawn_over_time_steps_or_a_setting(more, tmp_path, monkeypatch):
+    data, image = ROOT / "docs" / "data" / "demonstrations.csv", tmp_path / "curves.png"
+    run(monkeypatch, "draw_curves.py", str(data), *more, "-o", str(image))
+    assert iio.imread(image).std() > 10
 
 
-ROOT = Path(__file__).parents[2]
 BY_NAME = {one.name: one for one in SHOWN}
 PICKING = "CloseLoopBlockPicking"
 

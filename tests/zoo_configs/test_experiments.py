@@ -21,10 +21,10 @@ from zoo_configs.errors import CommandError
 from zoo_configs.experiments.config import ExperimentConfig, explained_yaml, merge, resolve
 from zoo_configs.experiments.families import families, parse_family
 from zoo_configs.experiments.flags import find_experiment
-from zoo_configs.experiments.validation import check_experiment
 from zoo_configs.files import Dumper, format_yaml, parse_yaml, read_yaml
 from zoo_configs.parsers import parse_train
 from zoo_configs.training.objects import EVALUATED, parsed
+from zoo_configs.training.validation import check_experiment
 
 GOLDEN_FILE = Path(__file__).with_name("golden_experiments.yml")
 WRITE = "WRITE_GOLDEN_EXPERIMENTS"
@@ -81,6 +81,7 @@ def test_the_paper_preset_has_the_default_arguments_of_the_algorithms():
 def test_every_experiment_is_valid():
     for names in ALL:
         check_experiment(resolve(*names))
+    check_experiment(resolve("sdqfd_fcn", "cpu", STACKING, {"augmentation": "rigid_motion"}))
 
 
 def time_limit(env_id):

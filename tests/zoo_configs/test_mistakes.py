@@ -86,6 +86,9 @@ TRAIN -params "replay_buffer_kwargs:{samplr: uniform}"            => 'sampler'
 TRAIN -params "replay_buffer_kwargs:{sampler: priority}"          => priority
 TRAIN -params replay_buffer_class:no_package.Buffer               => no_package
 TRAIN -params augmentation:rda                                    => rotation
+TRAIN --dry-run -params bc_weight:-1                              => bc_weight
+TUNE -params critic_warmup_steps:x                                => critic_warmup_steps
+train --baseline sdqfd_fcn --env STACKING -params augmentation:drq => rigid_motion
 DEMOS --env-kwargs obs_size=64                                    => 'obs_size=64'
 DEMOS --env-kwargs obssize:64                                     => 'obs_size'
 DEMOS --env-kwargs robot:x                                        => 'kuka'

@@ -14,12 +14,9 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 from gymnasium import spaces
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from PIL import Image
 from sweeps import ROOT
 
-from bulletarm_gym.benchmarks import BENCHMARKS
 from bulletarm_gym.demonstrations import load
 from zoo_configs import provenance
 from zoo_configs.cli import main
@@ -76,18 +73,6 @@ def test_a_mean_curve_has_at_each_step_the_runs_that_were_evaluated():
     mean = mean_curve([long, short])
     found = [mean.timesteps, mean.success, mean.error]
     np.testing.assert_allclose(found, [[5, 10, 15], [0.5, 0.75, 1.0], [0.5, 0.25, np.nan]])
-
-
-def test_the_title_of_a_panel_is_in_the_figure(tmp_path, monkeypatch):
-    figures = []
-    monkeypatch.setattr(Figure, "savefig", lambda figure, path, **_: (path.touch(), figures.append(figure)))
-    longest = max((row.env_id for table in BENCHMARKS.values() for row in table.environments), key=len)
-    curve = LearningCurve(np.arange(2), np.ones(2), np.zeros(2), SUCCESS, 1)
-    draw_curves({longest: {"equi": curve}}, tmp_path / "curves.png")
-    [figure] = figures
-    FigureCanvasAgg(figure).draw()
-    title = figure.axes[0].title.get_window_extent()
-    assert 0 <= title.x0 and title.x1 <= figure.bbox.x1
 
 
 def test_plot_draws_values_of_expert_and_online_transitions(trained, tmp_path, refuse):

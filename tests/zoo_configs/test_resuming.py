@@ -19,8 +19,8 @@ from bulletarm_gym.demonstrations import collect
 from sb3_extensions.sacfd import SACfD
 from zoo_configs.agents import AgentQuery, algorithm_of, find_agent
 from zoo_configs.algorithms import algorithm_classes
+from zoo_configs.cards import read_card
 from zoo_configs.cli import main
-from zoo_configs.publishing.published import read_card
 from zoo_configs.training import options
 from zoo_configs.training.runs import find_runs, load_run
 from zoo_configs.training.state import State, run_status

@@ -55,8 +55,8 @@ def test_a_study_begins_with_the_baseline_and_repeats_itself(tune, toy_id, tmp_p
     folder = tmp_path / "studies" / NAME
     assert done[0].params == {"learning_rate": 0.001, "batch_size": "4"}
     assert len(done) == 3 and all(0 <= trial.value <= 1 for trial in done if trial.value is not None)
-    for picture in ("history", "importances", "parallel_coordinates"):
-        assert (folder / f"{picture}.png").stat().st_size > 5000
+    for plot in ("history", "importances", "parallel_coordinates"):
+        assert (folder / f"{plot}.png").stat().st_size > 5000
     assert "1/3" in printed.err and "3/3" in printed.err and "0/3" not in printed.err
     assert "trial 1: " in printed.out and f"optuna-dashboard {folder / 'journal.log'}" in printed.out
     best = yaml.safe_load((folder / "best.yml").read_text())[toy_id]

@@ -27,7 +27,7 @@ STORAGE_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.ESTALE)
 """Errors that affect all runs."""
 LEAST_FREE = 1 << 20  # bytes
 PRELOADED = ["zoo_configs.training.train", "sb3_extensions.sacfd", "torch._dynamo"]
-"""Modules that the fork server imports once for all processes."""
+"""Modules that the fork server imports once for all processes; the last one is needed by optimizers."""
 POLL = 0.5  # seconds
 GRACE = 60.0  # seconds in which interrupted runs save their state
 

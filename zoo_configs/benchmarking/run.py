@@ -16,12 +16,12 @@ from zoo_configs.algorithms import algorithm_classes
 from zoo_configs.drawing.curves import load_curve
 from zoo_configs.environments import make_env, tried_env
 from zoo_configs.errors import CommandError, refused
-from zoo_configs.experiments.validation import check_experiment, check_expert_data
 from zoo_configs.files import check_writable
 from zoo_configs.training.objects import parsed
 from zoo_configs.training.runs import Run, load_run
 from zoo_configs.training.state import LOCK_FILE, State, run_lock, set_status
 from zoo_configs.training.train import check_same
+from zoo_configs.training.validation import check_experiment, check_expert_data
 
 Runner = Callable[[Sequence[Run], Callable[[], None]], None]
 """Function that trains runs and regularly calls another function."""

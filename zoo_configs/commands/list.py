@@ -7,10 +7,10 @@ from typing import Any
 
 import gymnasium as gym
 
+from zoo_configs.cards import published_agents
 from zoo_configs.drawing.tables import print_table
 from zoo_configs.environments import known_env_id, make_env, our_env_ids, register_environments
 from zoo_configs.experiments.families import families, task_name
-from zoo_configs.publishing.published import published_agents
 
 
 def main(args: argparse.Namespace) -> None:

@@ -19,12 +19,12 @@ from zoo_configs.results import (
     write_tables,
 )
 
-PICTURE, TRAINING_PICTURE = "learning_curves.png", "training_curves.png"
+FIGURE, TRAINING_FIGURE = "learning_curves.png", "training_curves.png"
 
 
 def main(args: argparse.Namespace) -> None:
     """Run the command."""
-    output = args.output or args.log_folder / (TRAINING_PICTURE if args.training else PICTURE)
+    output = args.output or args.log_folder / (TRAINING_FIGURE if args.training else FIGURE)
     experiments = read_experiments(args.log_folder, args.env, args.baseline, args.seed, args.device)
     check_writable(output, "--output")
     written = _plot_training(experiments, output) if args.training else _plot_success(experiments, output)

@@ -8,13 +8,13 @@ from pathlib import Path
 
 from zoo_configs.agents import Agent, agent_of, find_run, query_of
 from zoo_configs.arguments import check_device
+from zoo_configs.cards import CARD_FILE, PAGE_FILE
 from zoo_configs.drawing.video import write_video
 from zoo_configs.environments import register_environments
 from zoo_configs.errors import CommandError, refused
 from zoo_configs.evaluating import EvalOptions
 from zoo_configs.files import check_writable, made_folder, print_written
 from zoo_configs.publishing.packing import check_publishable, pack
-from zoo_configs.publishing.published import CARD_FILE, PAGE_FILE
 from zoo_configs.recording import agent_actor, record
 from zoo_configs.training.runs import env_folder_name
 

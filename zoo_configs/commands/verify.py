@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from zoo_configs.agents import register_run
+from zoo_configs.cards import find_published
 from zoo_configs.errors import CommandError
 from zoo_configs.experiments.config import ExperimentConfig
 from zoo_configs.provenance import arithmetic
-from zoo_configs.publishing.published import find_published
 from zoo_configs.training.certificate import (
     CHECKSUMS,
     Certificate,

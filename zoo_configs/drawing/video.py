@@ -49,7 +49,7 @@ class ValueMap(NamedTuple):
 
 
 def compose_frame(
-    picture: Frame,
+    scene: Frame,
     images: Iterable[Brightness],
     caption: str,
     success: bool = False,
@@ -58,12 +58,12 @@ def compose_frame(
     """
     Compose a frame, shape (height, width, 3), of a rendered image, observed images and a caption.
 
-    :param picture: Rendered image, shape (height, width, 3)
+    :param scene: Rendered image, shape (height, width, 3)
     :param images: Images with values in [0, 1], each of which becomes a panel
     :param success: Whether the caption has the colour of success
     :param value_map: Values to draw in another panel
     """
-    panels = [_resize(Image.fromarray(picture), Image.Resampling.LANCZOS)]
+    panels = [_resize(Image.fromarray(scene), Image.Resampling.LANCZOS)]
     panels += [_resize(Image.fromarray(colour(image)), NEAREST) for image in images]
     if value_map is not None:
         panels.append(draw_value_map(value_map))

@@ -13,13 +13,13 @@ import yaml
 from bulletarm_gym.check.machine import describe_processor
 from zoo_configs.agents import Agent, load_model
 from zoo_configs.algorithms import ALGORITHMS, algorithm_classes
+from zoo_configs.cards import FAILED, PAGE_FILE, SUCCEEDED, Card
 from zoo_configs.drawing.curves import SUCCESS, load_curve
 from zoo_configs.errors import CommandError
 from zoo_configs.evaluating import EvalOptions, Outcome, check_unwrapped, evaluate_agent
 from zoo_configs.files import whole_file
 from zoo_configs.provenance import arithmetic, commit
 from zoo_configs.publishing.compact import save_compact
-from zoo_configs.publishing.published import FAILED, PAGE_FILE, SUCCEEDED, Card
 from zoo_configs.training.certificate import certificate_of
 from zoo_configs.training.runs import Run, day, env_folder_name, origin_of
 

@@ -18,13 +18,13 @@ from zoo_configs.arguments import check_device
 from zoo_configs.environments import register_environments, tried_env
 from zoo_configs.errors import CommandError
 from zoo_configs.experiments.config import ExperimentConfig
-from zoo_configs.experiments.validation import check_experiment, check_expert_data
 from zoo_configs.files import made_folder, read_yaml
 from zoo_configs.training.evaluation import save_model
 from zoo_configs.training.options import TrainingOptions
 from zoo_configs.training.runs import Run, claim_run_folder, clear, copy_statistics, load_run, write_resolved
 from zoo_configs.training.state import State, run_lock
 from zoo_configs.training.trainer import Trainer
+from zoo_configs.training.validation import check_experiment, check_expert_data
 
 RESULT_OPTIONS = ("n_timesteps", "eval_freq", "eval_episodes", "n_eval_envs", "trained_agent")
 """Options of a training that change its result or its evaluations."""

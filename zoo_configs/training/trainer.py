@@ -18,11 +18,11 @@ from sb3_extensions.common.checkpoint import DirectoryCheckpointCallback, resume
 from zoo_configs.algorithms import algorithm_classes
 from zoo_configs.environments import SeedStream, load_expert_data, stream_seed
 from zoo_configs.errors import CommandError, reason, refused
-from zoo_configs.experiments.validation import policy_class
 from zoo_configs.training.certificate import Certificate
 from zoo_configs.training.evaluation import PeriodicEvaluation, TrainingLog
 from zoo_configs.training.objects import NOISES, TRAINER_KEYS, build_vec_env, described_callables, parsed
 from zoo_configs.training.runs import Run, cut_monitor_files, env_folder_name
+from zoo_configs.training.validation import policy_class
 
 REJECTIONS = (AssertionError, MemoryError, RuntimeError, TypeError, ValueError)
 """Errors of algorithms for arguments, or environments, with which they cannot learn."""

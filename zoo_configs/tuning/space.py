@@ -13,9 +13,9 @@ from sb3_extensions.common.env_metadata import constructor_arguments
 from zoo_configs.algorithms import algorithm_classes
 from zoo_configs.errors import CommandError, check_names
 from zoo_configs.experiments.config import ExperimentConfig, look_up, merge
-from zoo_configs.experiments.validation import check_experiment, valid_hyperparams
 from zoo_configs.files import read_yaml
 from zoo_configs.training.objects import SCHEDULE
+from zoo_configs.training.validation import check_experiment, valid_hyperparams
 
 SPACES = Path(__file__).resolve().parents[1] / "hyperparams" / "spaces" / "algorithms.yml"
 KEYS = ("low", "high", "log", "choices", "needs")

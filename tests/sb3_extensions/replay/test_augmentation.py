@@ -82,6 +82,7 @@ def test_drq_shifts_each_view_independently(k, m):
         ({"drq": {"K": 1, "M": 3}}, DrQ(1, 3)),
         (RAD(32), RAD(32)),
         ({"rotation": {}, "rad": {"size": 12}}, Compose((Rotation(action_sequence="xyzrp"), RAD(12)))),
+        ({"drq": {"K": 1}, "rotation": {}}, Compose((Rotation(action_sequence="xyzrp"), DrQ(1)))),
     ],
 )
 def test_make_augmentation_from_names_and_arguments(spec, expected):

@@ -12,7 +12,7 @@ from zoo_configs.experiments.families import task_name
 from zoo_configs.files import whole_file
 from zoo_configs.training.runs import Origin
 
-PUBLISHED_FOLDER = Path(__file__).resolve().parents[1] / "published"
+PUBLISHED_FOLDER = Path(__file__).resolve().parent / "published"
 CARD_FILE, PAGE_FILE = "card.json", "README.md"
 SUCCEEDED, FAILED = "1", "0"
 

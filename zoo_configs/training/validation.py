@@ -8,7 +8,6 @@ from typing import Any
 import gymnasium as gym
 
 from sb3_extensions.common.env_metadata import constructor_arguments
-from sb3_extensions.replay.rotation import make_augmentation
 from sb3_extensions.replay.sampling import make_sampler
 from zoo_configs.algorithms import algorithm_classes, class_from_path
 from zoo_configs.environments import load_expert_data
@@ -98,8 +97,15 @@ def check_experiment(experiment: ExperimentConfig) -> None:
             format_yaml(value)  # as in the files of the run
             parsed({key: value})
             described_callables(value if key in DESCRIBED else None)
-    with refused("augmentation"):
-        make_augmentation(experiment.hyperparams.get("augmentation"))
+    with refused(f"{experiment.algo} cannot be built"):
+        _check_arguments(algorithm, experiment.hyperparams)
+
+
+def _check_arguments(algorithm: type[Any], hyperparams: Mapping[str, Any]) -> None:
+    """Pass the hyperparameters to the constructor, which checks them, without an environment."""
+    kwargs = {key: value for key, value in parsed(hyperparams).items() if key not in TRAINER_KEYS}
+    kwargs |= {} if kwargs.get("expert_data") is None else {"expert_data": ()}  # see check_expert_data()
+    algorithm(env=None, device="cpu", _init_setup_model=False, **kwargs)
 
 
 def valid_hyperparams(algorithm: type[Any]) -> set[str]:
