@@ -326,7 +326,7 @@ MAX_STEPS = {
     **{"BoxPalletizing": (40, 400), "CovidTest": (30, 300), "BlockSorting": (20, 100)},
     "OpenLoopObjectGrasping": (1, 1),
 }
-"""Default ``max_steps`` in open and in closed loop by task, if not 10 and 50; specs need it before the import."""
+"""Default ``max_steps`` of tasks in open and closed loop, if not 10 and 50, for specs before any import."""
 
 PAPER_IDS: tuple[str, ...] = tuple(PAPER)
 ENV_IDS: tuple[str, ...] = tuple(ENVIRONMENTS)
