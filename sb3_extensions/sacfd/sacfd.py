@@ -16,6 +16,7 @@ from stable_baselines3.sac.sac import SAC
 from torch import nn
 
 from sb3_extensions.common.components import (
+    check_entropy,
     check_fraction,
     check_integer,
     check_not_negative,
@@ -172,6 +173,7 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
         make_augmentation(self.augmentation)
         check_not_negative(bc_weight=self.bc_weight, expert_q_weight=self.expert_q_weight)
         check_not_negative(expert_noise=self.expert_noise)
+        check_entropy(ent_coef=self.ent_coef, target_entropy=self.target_entropy)
         check_integer(0, critic_warmup_steps=self._warmup_steps)
         check_integer(1, target_update_interval=self.target_update_interval)
         if self.bc_weight == 0 and self.pretrain_steps > self._warmup_steps:
