@@ -19,6 +19,8 @@ from bulletarm_gym.config_checks import Check, ParameterError, Refused, check_ar
 
 VARIABLE = "BULLETARM_GYM_REGISTERED"
 """Environment variable in which a process publishes its registrations, as JSON, for child processes."""
+LIMITS = "max_steps"
+"""Key in it of the default ``max_steps`` of registered tasks, by id."""
 
 
 def published() -> dict[str, dict[str, Any]]:
@@ -318,6 +320,13 @@ OWN = {
 }
 """Environments that are not in the paper."""
 ENVIRONMENTS = {**PAPER, **COMPOSED, **OWN}
+MAX_STEPS = {
+    **dict.fromkeys(HOUSES.replace("stacking:", "").split(), (10, 100)),
+    **{"HouseBuilding4": (20, 200), "BinPacking": (20, 200), "BottleArrangement": (20, 240)},
+    **{"BoxPalletizing": (40, 400), "CovidTest": (30, 300), "BlockSorting": (20, 100)},
+    "OpenLoopObjectGrasping": (1, 1),
+}
+"""Default ``max_steps`` of tasks in open and closed loop, if not 10 and 50, for specs before any import."""
 
 PAPER_IDS: tuple[str, ...] = tuple(PAPER)
 ENV_IDS: tuple[str, ...] = tuple(ENVIRONMENTS)
@@ -325,9 +334,19 @@ ENV_IDS: tuple[str, ...] = tuple(ENVIRONMENTS)
 
 def register_all() -> None:
     """Register the ids of the package, and the registrations of the process that started this one."""
-    for env_id, kwargs in {**ENVIRONMENTS, **published().get(TASKS.kind, {})}.items():
+    known = published()
+    steps = {env_id: _max_steps(kwargs) for env_id, kwargs in ENVIRONMENTS.items()}
+    steps |= known.get(LIMITS, {})
+    for env_id, kwargs in {**ENVIRONMENTS, **known.get(TASKS.kind, {})}.items():
         if env_id not in gymnasium.registry:
-            register(env_id, kwargs)
+            register(env_id, kwargs, steps.get(env_id))
+
+
+def _max_steps(kwargs: Mapping[str, Any]) -> int:
+    """Return the maximum number of steps of an environment of this package."""
+    _, _, task = kwargs["task"].partition(":")
+    steps: int = MAX_STEPS.get(task, (10, 50))[kwargs["control"] == "close_loop"]
+    return int(kwargs.get("defaults", {}).get("max_steps", steps))
 
 
 def register_task(name: str, task: Any, control: str = "close_loop", surface: str = "flat") -> str:
@@ -350,23 +369,25 @@ def register_task(name: str, task: Any, control: str = "close_loop", surface: st
     task_type, control_type = find_combination(kwargs["task"], kwargs["control"])
     config = importlib.import_module("bulletarm_gym.config")  # which imports this module
     components = (control_type.kind, task_type.defaults, kwargs["surface"], control_type.sequences)
-    config.EnvConfig.of(config.Context(*components), {})
+    max_steps = config.EnvConfig.of(config.Context(*components), {}).max_steps
     known_spec = gymnasium.registry.get(env_id)
     if known_spec is None:
-        register(env_id, kwargs)
+        register(env_id, kwargs, max_steps)
     elif known_spec.kwargs != kwargs:
         raise ValueError(f"name must be unused, got {name!r}: {env_id} has {known_spec.kwargs}")
     _publish(TASKS.kind, env_id, kwargs)
+    _publish(LIMITS, env_id, max_steps)
     return env_id
 
 
-def register(env_id: str, kwargs: Mapping[str, Any]) -> None:
-    """Register an id with Gymnasium, with arguments of the constructor."""
+def register(env_id: str, kwargs: Mapping[str, Any], max_steps: int | None = None) -> None:
+    """Register an id with Gymnasium, with arguments of the constructor and its default of ``max_steps``."""
     gymnasium.register(
         env_id,
         entry_point="bulletarm_gym.env:ManipulationEnv",
+        max_episode_steps=max_steps,
         kwargs=dict(kwargs),
-        additional_wrappers=(time_limit_spec(None),),
+        additional_wrappers=(time_limit_spec(max_steps),),
     )
 
 

@@ -211,17 +211,16 @@ def own_time_limit(env: gymnasium.Env[Any, Any], known: int | None) -> gymnasium
     ``TimeLimit`` cannot extend the limit, also truncates a success at the limit, and does not follow
     ``set_state()``. Every id names this function as its first wrapper.
 
-    :param known: limit in the spec of another environment, which is kept unless a limit is passed to
-        ``make()``
+    :param known: limit in the spec, which is not applied: ``max_steps`` has this value by default, and may be
+        passed to ``make()`` with another
     :raises ParameterError: ``max_steps`` and another ``max_episode_steps`` are passed
     """
     core: Any = env.unwrapped
-    spec, limit = core.spec, known
+    passed = sys._getframe(1).f_locals.get("max_episode_steps")  # make() leaves no other trace of it
+    spec, limit = core.spec, UNLIMITED if passed == -1 else known
     if isinstance(env, TimeLimit):
         limit, env = env._max_episode_steps, env.env
-    elif sys._getframe(1).f_locals.get("max_episode_steps") == -1:  # make() leaves no other trace of it
-        limit = UNLIMITED
-    if limit is not None and limit != known:
+    if limit is not None and (limit != known or passed is not None):
         if "max_steps" in spec.kwargs and core.config.max_steps not in (known, limit):
             must = "omitted if max_episode_steps is passed"
             raise ParameterError.of("max_steps", core.config.max_steps, must)

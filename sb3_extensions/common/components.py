@@ -1,6 +1,8 @@
 """Components from Python objects or from YAML, and checks of arguments."""
 
+import math
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from numbers import Integral, Real
 from typing import Any, TypeVar
 
@@ -55,3 +57,28 @@ def _check(
     for name, value in arguments.items():
         if not (isinstance(value, kind) and is_valid(value)):
             raise ValueError(f"{name} must be {must}, got {value!r}")
+
+
+def _number(text: str) -> float:
+    with suppress(ValueError):
+        return float(text)
+    return math.nan
+
+
+ENTROPY: dict[str, tuple[str, Callable[[Any], bool]]] = {
+    "ent_coef": (
+        "'auto', 'auto_NUMBER' or a number of at least 0",
+        lambda value: value == "auto" or 0 <= _number(str(value).removeprefix("auto_")) < math.inf,
+    ),
+    "target_entropy": (
+        "'auto' or a number",
+        lambda value: value == "auto" or math.isfinite(_number(str(value))),
+    ),
+}
+"""Description and check of valid values of SAC's arguments about entropy, by name."""
+
+
+def check_entropy(**arguments: Any) -> None:
+    """Raise a ValueError that names the argument if a value is invalid, see :data:`ENTROPY`."""
+    for name, value in arguments.items():
+        _check(*ENTROPY[name], {name: value}, object)

@@ -15,7 +15,7 @@ from stable_baselines3.sac.policies import LOG_STD_MAX, LOG_STD_MIN, SACPolicy
 from stable_baselines3.sac.sac import SAC
 from torch import nn
 
-from sb3_extensions.common.components import check_integer, check_not_negative
+from sb3_extensions.common.components import check_entropy, check_integer, check_not_negative
 from sb3_extensions.demonstrations.collection import ActionTransform, add_noise
 from sb3_extensions.demonstrations.off_policy import Logs, OffPolicyFromDemonstrations
 from sb3_extensions.demonstrations.validation import ExpertData
@@ -162,6 +162,7 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
         self._check_demonstrations()
         make_augmentation(self.augmentation)
         check_not_negative(bc_weight=self.bc_weight, expert_noise=self.expert_noise)
+        check_entropy(ent_coef=self.ent_coef, target_entropy=self.target_entropy)
         check_integer(0, critic_warmup_steps=self._warmup_steps)
         check_integer(1, target_update_interval=self.target_update_interval)
         if self.bc_weight == 0 and self.pretrain_steps > self._warmup_steps:

@@ -88,14 +88,19 @@ def test_spawned_workers_find_registered_components(mine):
 
 
 @pytest.mark.usefixtures("mine")
-@pytest.mark.parametrize(("control", "prefix"), [("close_loop", "CloseLoop"), ("open_loop", "OpenLoop")])
-def test_ids_name_control_and_surface(control, prefix):
+@pytest.mark.parametrize(
+    ("control", "prefix", "limit"), [("close_loop", "CloseLoop", 100), ("open_loop", "OpenLoop", 10)]
+)
+def test_ids_name_control_and_surface(control, prefix, limit):
+    specs = {}
     for surface, word in (("high_ground", "HighGround"), ("ramp", "Ramp"), ("tray", "Tray"), ("flat", "")):
         env_id = bulletarm_gym.register_task("Mine", BOTH, control, surface)
         assert env_id == f"BulletArm/{prefix}{word}Mine-v0"
         expected = "my_parts:Raised" if surface == "high_ground" else surface
-        assert gymnasium.spec(env_id).kwargs["surface"] == expected
-        del gymnasium.registry[env_id]
+        specs[env_id] = gymnasium.registry.pop(env_id)
+        assert specs[env_id].kwargs["surface"] == expected and specs[env_id].max_episode_steps == limit
+    registry.register_all()  # as in a child process
+    assert specs == {env_id: gymnasium.registry.pop(env_id) for env_id in specs}
 
 
 LOCAL = type("Local", (FlatSurface,), {"__qualname__": "test.<locals>.Local"})

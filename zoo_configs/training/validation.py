@@ -7,6 +7,7 @@ from typing import Any
 
 import gymnasium as gym
 
+from sb3_extensions.common.components import ENTROPY
 from sb3_extensions.common.env_metadata import constructor_arguments
 from sb3_extensions.replay.sampling import make_sampler
 from zoo_configs.algorithms import algorithm_classes, class_from_path
@@ -65,6 +66,7 @@ RANGES: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "train_freq": (f"{COUNT[0]}, or [number, 'step' or 'episode']", _is_period),
     **dict.fromkeys(("batch_size", "buffer_size", "frame_stack", "n_envs", "n_epochs", "n_steps"), COUNT),
     "target_update_interval": COUNT,
+    **ENTROPY,
     **dict.fromkeys(("gamma", "tau"), _number(0, 1)),
     **dict.fromkeys(("monitor_kwargs", "policy_kwargs", "replay_buffer_kwargs"), ARGUMENTS),
 }
