@@ -127,7 +127,7 @@ def random_indices(motion, low=0, high=SIZE):
 def make_samples(before, after):
     others = {"in_hand": th.rand(BATCH, 1, 6, 6), "holding": th.rand(BATCH, 1).round()}
     first, second = ({"heightmap": images, **others} for images in (before, after))
-    return ExpertReplayBufferSamples(first, th.rand(BATCH, 1), second, *th.rand(8, BATCH, 1))
+    return ExpertReplayBufferSamples(first, th.rand(BATCH, 1), second, *th.rand(7, BATCH, 1))
 
 
 def move(motion, samples, indices):
