@@ -61,10 +61,11 @@ def lay_out(world: World, specs: Sequence[BodySpec], columns: int) -> tuple[floa
 
 def render(world: World, length: float, width: float) -> object:
     """Return an image (height, width, 3) of the objects around the origin, from the front and above."""
-    distance = 2.2 * width
+    distance = 2.5 * width
     height = int(WIDTH * min(1.0, (0.95 * length + 0.08) / width))
     eye = (0.3 * distance, 0.0, 0.95 * distance)
-    return Camera(eye, (0.0, 0.0, 0.0), 25.0 * height / WIDTH, WIDTH, height, far=2.0 * distance).color(world)
+    fov, far = 25.0 * height / WIDTH, 2.0 * distance
+    return Camera(eye, (0.0, 0.0, 0.0), fov, WIDTH, height, far=far, shadow=False).color(world)
 
 
 if __name__ == "__main__":

@@ -14,6 +14,11 @@ from bulletarm_gym.simulation.world import World
 
 LIGHT = (0.6, -0.9, 1.6)
 """Direction to the light (world)."""
+LIGHT_DISTANCE = 3.0
+"""Distance (m) of the light from the world's origin, from which its shadow map covers arm and workspace.
+
+Bullet renders the map with the camera's projection, and extends shadows at its border without limit.
+"""
 VERTICAL = 1e-3
 """Slope from the vertical (m per metre) below which the optical axis is vertical."""
 OPENGL_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -130,6 +135,7 @@ class Camera:
             projection,
             **light,
             lightDirection=[default + change for default, change in zip(LIGHT, optics.light, strict=True)],
+            lightDistance=LIGHT_DISTANCE,
             shadow=int(shadow),
             renderer=client.ER_TINY_RENDERER,
         )

@@ -144,6 +144,18 @@ def test_intrinsics_and_extrinsics_give_the_point_of_a_pixel():
         assert camera.project(tuple(point)) == pytest.approx((column, row), abs=1e-4)
 
 
+def test_shadows_end_near_their_object():
+    """A column at a corner of the workspace darkens the ground beside it, and none 0.7 m farther."""
+    world = World(PHYSICS_MODES["fast"])
+    world.add_plane(FLOOR)
+    world.add(BodySpec("column", (block((0.05, 0.05, 0.2)),), mass=0.0), Pose.planar(0.62, 0.18, 0.1))
+    world.seal()
+    world.begin()
+    for x, y, darker in ((0.6, 0.3, True), (1.5, 0.6, False)):
+        camera = Camera((x, y, 2.0), (x, y, 0.0), 32.0, 100, 100)
+        assert (camera.color(world) < replace(camera, shadow=False).color(world)).any() == darker
+
+
 WORKSPACES = [
     [[0.3, 0.6], [-0.15, 0.15], [0.01, 0.25]],
     [[-0.15, 0.15], [-0.6, -0.3], [0.01, 0.25]],
