@@ -10,7 +10,7 @@ from statistics import fmean
 import numpy as np
 from matplotlib.figure import Figure
 
-from measurements import DATA, DataFile
+from measurements import DATA, DataFile, runs_of_tasks
 
 
 def main() -> None:
@@ -19,9 +19,8 @@ def main() -> None:
     parser.add_argument("control", help="start of the names of the tasks")
     parser.add_argument("-o", "--output", type=Path, required=True, help="PNG file to write")
     args = parser.parse_args()
-    rows = [row for row in DataFile(DATA / "results.csv", ()).read() if row["env"].startswith(args.control)]
-    rows = [row for row in rows if row["preset"] == "cpu" and row["last"]]
-    tasks = {row["env"]: [one for one in rows if one["env"] == row["env"]] for row in rows}
+    results = [row for row in DataFile(DATA / "results.csv", ()).read() if row["last"]]
+    tasks = {task: runs for task, runs in runs_of_tasks(results).items() if task.startswith(args.control)}
     figure = Figure(figsize=(5.2, 0.9 + 0.24 * len(tasks)), layout="constrained")
     axes = figure.subplots()
     for mean, task in sorted((fmean(float(row["last"]) for row in tasks[task]), task) for task in tasks):

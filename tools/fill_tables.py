@@ -29,7 +29,7 @@ from expert_tables import (
     origins,
     other_experts,
 )
-from measurements import DATA, Row
+from measurements import DATA, Row, runs_of_tasks
 from zoo_configs.drawing.tables import markdown_table
 from zoo_configs.experiments.families import task_name
 from zoo_configs.files import whole_file
@@ -51,8 +51,6 @@ SPEED_HEADS = {
     "times_reference": ("ratio", 1),
 }
 """Column of the page and digits, by column of the file."""
-OTHER_EXPERIMENTS = ("--benchmark", "expert_episodes")
-"""Options of runs that the short table of results leaves out."""
 ABLATION_STEPS = (-3000, 0, 5000, 10000)
 """Time steps of the evaluations in the table; those before 0 precede the first step."""
 PARTS = ("gradients_of_convolutions", "convolutions", "pooling", "rest")
@@ -161,12 +159,8 @@ def results_table(source: Source, preset: str, tasks: str) -> str:
 
 def results_summary(source: Source) -> str:
     """Return the success rate of each task's last agent with the preset ``cpu``."""
-    runs_of: dict[str, list[Row]] = {}
-    for run in source.read("results"):
-        if run["preset"] == "cpu" and not any(name in run["options"] for name in OTHER_EXPERIMENTS):
-            runs_of.setdefault(run["env"], []).append(run)
     lines, rates = [], []
-    for task, runs in sorted(runs_of.items()):
+    for task, runs in sorted(runs_of_tasks(source.read("results")).items()):
         minutes = [float(run["minutes"]) for run in runs if run["minutes"]]
         rates.append(fmean(float(run["last"]) for run in runs if run["last"]))
         lines.append([f"`{task}`", f"{rates[-1]:.2f}", f"{fmean(minutes):.0f}" if minutes else ""])

@@ -19,6 +19,8 @@ DATA = ROOT / "docs" / "data"
 PROVENANCE = ("machine", "date", "commit", "command")
 """Last columns of every file."""
 Row = dict[str, str]
+OTHER_EXPERIMENTS = ("--benchmark", "expert_episodes")
+"""Options of runs that do not count for the success of their task."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +55,15 @@ class DataFile:
 
     def _identity(self, row: Row) -> tuple[str, ...]:
         return tuple(row[column] for column in self.key)
+
+
+def runs_of_tasks(results: Sequence[Row]) -> dict[str, list[Row]]:
+    """Return the runs of each task with the preset ``cpu`` and without the options of other experiments."""
+    runs: dict[str, list[Row]] = {}
+    for row in results:
+        if row["preset"] == "cpu" and not any(name in row["options"] for name in OTHER_EXPERIMENTS):
+            runs.setdefault(row["env"], []).append(row)
+    return runs
 
 
 def keep(row: Row, path: Path | None, key: tuple[str, ...]) -> Row:

@@ -13,7 +13,7 @@ import pytest
 
 import bulletarm_gym
 import fill_tables
-from measurements import DataFile
+from measurements import DataFile, runs_of_tasks
 from website import agents, gallery, hooks, measured, task_page
 from website.catalogue import SHOWN, grouped, relatives
 from website.docstrings import LABELS
@@ -49,6 +49,16 @@ def test_no_page_is_written_if_one_cannot_be_filled(text, tmp_path, monkeypatch)
     with pytest.raises(SystemExit, match=r"b\.md"):
         fill_tables.main()
     assert {page: page.read_text() for page in pages} == pages
+
+
+def test_runs_of_other_experiments_do_not_count_for_their_task():
+    others = (
+        {"options": "-params expert_episodes:10"},
+        {"options": "--benchmark open_loop_2d"},
+        {"preset": "quick"},
+    )
+    run = {"env": "CloseLoopCornerPicking", "preset": "cpu", "options": "", "last": "0.99"}
+    assert runs_of_tasks([run, *(run | other for other in others)]) == {run["env"]: [run]}
 
 
 ROOT = Path(__file__).resolve().parents[2]
