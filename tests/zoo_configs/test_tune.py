@@ -110,13 +110,13 @@ def interrupt(*args, **kwargs):
 
 
 def test_a_study_without_a_complete_trial_fails(tune, tmp_path, capsys):
-    (tmp_path / "space.yml").write_text("ent_coef: {choices: [x, y]}")
+    (tmp_path / "space.yml").write_text("policy_kwargs.n_critics: {choices: [x, y]}")
     assert tune("--n-trials", "2", "--pruner", "none", "--save-freq", "0") == 0  # the baseline
     assert not list(tmp_path.glob("studies/*/trial_0000/checkpoints"))
     assert states(tmp_path) == ["COMPLETE", "FAIL"]
-    assert "could not convert" in study_of(tmp_path, NAME).trials[1].user_attrs[ERROR]
-    assert tune("--n-trials", "1", "--study-name", "all", "-params", "ent_coef:x") == 2
-    assert "could not convert" in capsys.readouterr().err
+    assert "as an integer" in study_of(tmp_path, NAME).trials[1].user_attrs[ERROR]
+    assert tune("--n-trials", "1", "--study-name", "all", "-params", "policy_kwargs:{n_critics: x}") == 2
+    assert "as an integer" in capsys.readouterr().err
 
 
 def test_a_trial_that_falls_behind_is_pruned(tune, tmp_path, monkeypatch):
