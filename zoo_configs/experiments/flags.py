@@ -47,7 +47,7 @@ def find_experiment(args: argparse.Namespace) -> ExperimentConfig:
         overrides["env_kwargs"] = merge(overrides.get("env_kwargs", {}), args.env_kwargs)
     if args.conf_file is not None:
         if args.baseline is not None:
-            raise CommandError("give --baseline or --conf-file, not both")
+            raise CommandError("pass --baseline or --conf-file, not both")
         return _experiment_from_file(args.conf_file, _required_algo(args), env_id).overridden(overrides)
     baseline = _baseline_of(args, env_id)
     if baseline is None:
