@@ -73,8 +73,8 @@ class Footprint:
 
         It is negative where they may overlap.
         """
-        reaches = np.array([other.reach for other in others]).reshape(len(others), DIRECTIONS)
-        return -float((self.reach[_OPPOSITE] + reaches).min(axis=1).max(initial=-np.inf))
+        opposite = self.reach[_OPPOSITE]
+        return -max((float((opposite + other.reach).min()) for other in others), default=-np.inf)
 
     def is_inside(self, limits: Sequence[Sequence[float]], margin: float = 0.0) -> bool:
         """Return True if the footprint keeps a margin (m) to limits [[x low, x high], [y low, y high]]."""
