@@ -211,8 +211,8 @@ def own_time_limit(env: gymnasium.Env[Any, Any], known: int | None) -> gymnasium
     ``TimeLimit`` cannot extend the limit, also truncates a success at the limit, and does not follow
     ``set_state()``. Every id names this function as its first wrapper.
 
-    :param known: limit in the spec, which is not applied: ``max_steps`` has this value by default, and may be
-        passed to ``make()`` with another
+    :param known: limit in the spec, the default of ``max_steps``; a limit that is passed to ``make()``
+        replaces it
     :raises ParameterError: ``max_steps`` and another ``max_episode_steps`` are passed
     """
     core: Any = env.unwrapped

@@ -226,8 +226,8 @@ class Builder:
         """Return the base with most space for its next block, whose frame is kept; None if none has."""
         found = [(*option, placed) for placed in candidates for option in self._options(placed, position)]
         ordered = sorted(found, key=lambda option: -option[0])
-        # Most options fail none of the slower checks, so only the first ones are checked.
-        possible = (one for one in ordered if self._is_possible(one[2], one[3]))
+        # The first options usually pass, so the slower checks of the others are not needed.
+        possible = (one for one in ordered if self._is_possible(*one[2:]))
         best = next(possible, None)
         if best is None or (best[0] < CROWDED and self._site(self._spare(position, {})[0]) is not None):
             return None
@@ -256,7 +256,7 @@ class Builder:
                 yield min(area.gap(*others), MARGINS[0]) - PREFERENCE * gap, frame, area
 
     def _is_possible(self, area: Footprint, placed: Placed) -> bool:
-        """Return True if an area is on the site, and the block above it and the first block of a base too."""
+        """Return True if an area is on the site and the block over it and a base's first block has space."""
         first = footprint(next(iter(placed.values())))
         on_site = self._scene.surface.fits_site(area.grown(BUILD_TOLERANCE))
         return on_site and self._supports(first, area)
