@@ -139,3 +139,17 @@ def test_tested_versions_take_every_python_3_11():
     for name in names & known.keys():
         python = known[name].json.get("requires_python")
         assert "3.11.0" in SpecifierSet(str(python or "")), name
+
+
+def test_lowest_versions_are_those_of_the_ranges(unpacked):
+    lines = (ROOT / "tests" / "lowest_versions.txt").read_text().splitlines()
+    lowest = {pin.name: pin.specifier for pin in map(Requirement, lines[1:])}
+    (info,) = unpacked.glob("*.dist-info")
+    requirements = [Requirement(line) for line in metadata.Distribution.at(info).requires or []]
+    used = [r for r in requirements if str(r.marker) in ("None", 'extra == "sb3"', 'extra == "zoo"')]
+    ranges = {r.name: r.specifier for r in used if not r.extras and r.name != "torch"}
+    assert lowest.keys() == ranges.keys()
+    for name, specifier in ranges.items():
+        [bound] = [part.version for part in specifier if part.operator == ">="]
+        [pin] = lowest[name]
+        assert pin.version in specifier and pin.version.startswith(bound), name
