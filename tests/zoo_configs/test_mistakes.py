@@ -217,10 +217,11 @@ def test_a_full_disk_is_one_line(refuse, monkeypatch):
     assert "No space left on device" in refuse(*TRAIN.split())
 
 
-def test_an_unwritable_home_is_one_line():
+def test_an_unwritable_home_is_one_line(tmp_path):
     words = TRAIN.replace("TOY", "Pendulum-v1").replace("--baseline sacfd --preset cpu", "--algo sac").split()
     command = [sys.executable, "-m", "zoo_configs.cli", *words, "-f", "/proc/home/logs"]
     variables = {**os.environ, "HOME": "/proc/home", "PYTHONPATH": PATH}
+    variables["MPLCONFIGDIR"] = str(tmp_path)  # Stable-Baselines3 2.7 imports Matplotlib, which warns
     done = subprocess.run(command, env=variables, capture_output=True, text=True, check=False)
     [line] = done.stderr.splitlines()
     assert done.returncode == 2 and "/proc/home" in line
