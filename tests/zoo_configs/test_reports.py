@@ -314,6 +314,7 @@ def test_demonstrations_of_another_environment_are_refused(picking, tmp_path, ca
         ([*SMALL_IMAGES, "--env", REACHING], (PICKING, REACHING)),
         ([*SMALL_IMAGES, "--env-kwargs", "max_steps:9"], ("'max_steps': 50", "'max_steps': 9")),
         ([*SMALL_IMAGES, "--env-kwargs", "action_sequence:xyzrp"], ("'pxyzr'", "'xyzrp'")),
+        ([*SMALL_IMAGES, "--env-kwargs", "surface:ramp"], ("'surface': 'flat'", "'surface': 'ramp'")),
     ):
         assert train(tmp_path, picking, *more) == 2
         message = capsys.readouterr().err
