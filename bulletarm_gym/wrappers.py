@@ -206,7 +206,7 @@ class GoalObservation(gymnasium.ObservationWrapper[Any, Any, Any], RecordConstru
     def observation(self, observation: Any) -> dict[str, NDArray[Any]]:
         """Return an observation of the environment with both goals."""
         achieved, desired = (np.array(goal, float) for goal in self._core.task.goals(self._core.scene))
-        flat = spaces.flatten(self._inner, observation)
+        flat: Any = spaces.flatten(self._inner, observation)
         return {"observation": flat, "achieved_goal": achieved, "desired_goal": desired}
 
 
