@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Callable, Mapping
+from contextlib import closing
 from copy import deepcopy
 from dataclasses import replace
 from functools import reduce
@@ -164,8 +165,11 @@ class GoalObservation(gymnasium.ObservationWrapper[Any, Any, Any], RecordConstru
         parts = self._inner.values() if isinstance(self._inner, spaces.Dict) else [self._inner]
         if not all(isinstance(space, spaces.Box) and len(space.shape) == 1 for space in parts):
             raise ValueError(f"env must observe vectors, got {self._inner}. Use 'joint_state'.")
-        achieved, _ = self._core.task.goals(self._core.scene)
-        goal = spaces.Box(-np.inf, np.inf, achieved.shape, np.float64)
+        arguments = {**self._core._arguments, "render_mode": None}
+        with closing(type(self._core)(**arguments)) as begun:  # goals can depend on the memory of an episode
+            begun.reset(seed=0)
+            achieved, _ = begun.task.goals(begun.scene)
+        goal = spaces.Box(-np.inf, np.inf, np.shape(achieved), np.float64)
         observation = spaces.flatten_space(self._inner)
         self.observation_space = spaces.Dict(observation=observation, achieved_goal=goal, desired_goal=goal)
 
@@ -188,7 +192,8 @@ class GoalObservation(gymnasium.ObservationWrapper[Any, Any, Any], RecordConstru
         :param info: not used
         :return: (...,) float64
         """
-        return (self._core.task.goal_error(achieved_goal, desired_goal) < 1.0).astype(np.float64)[()]
+        error = self._core.task.goal_error(achieved_goal, desired_goal)
+        return np.less(error, 1.0).astype(np.float64)[()]
 
     def compute_terminated(self, achieved_goal: Any, desired_goal: Any, info: dict[str, Any]) -> bool:
         """Return True if the scene is invalid. This does not depend on the goals."""
@@ -200,8 +205,8 @@ class GoalObservation(gymnasium.ObservationWrapper[Any, Any, Any], RecordConstru
 
     def observation(self, observation: Any) -> dict[str, NDArray[Any]]:
         """Return an observation of the environment with both goals."""
-        achieved, desired = self._core.task.goals(self._core.scene)
-        flat = spaces.flatten(self._inner, observation)
+        achieved, desired = (np.array(goal, float) for goal in self._core.task.goals(self._core.scene))
+        flat: Any = spaces.flatten(self._inner, observation)
         return {"observation": flat, "achieved_goal": achieved, "desired_goal": desired}
 
 

@@ -84,15 +84,16 @@ def test_evaluation_of_a_scripted_policy(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("env_id", bulletarm_gym.ENV_IDS)
+@pytest.mark.parametrize("env_id", [*bulletarm_gym.ENV_IDS, "door:BulletArm/CloseLoopDoorOpening-v0"])
 def test_observations_have_the_configured_features(env_id, monkeypatch):
     pytest.importorskip("lerobot")
     monkeypatch.syspath_prepend(PLUGIN)
+    monkeypatch.syspath_prepend(EXAMPLES)
     import lerobot_env_bulletarm as plugin
     from lerobot.envs.factory import make_env
     from lerobot.envs.utils import add_envs_task, env_to_policy_features, preprocess_observation
 
-    task = env_id.partition("/")[2]
+    task = env_id.replace("BulletArm/", "")
     config = plugin.BulletArmEnv(task=task, cameras={"front": {"size": 32}}, object_poses=True)
     (envs,) = make_env(config, n_envs=1)["bulletarm"].values()
     observation, _ = envs.reset(seed=[3], options={"lerobot_new_rollout": True})  # as LeRobot 0.6.1

@@ -287,7 +287,9 @@ class RecordDemonstrations(
             return None
         found = load(self._path)
         abouts = json.loads(json.dumps([self._about, found.about]))
-        ours, theirs = ({"env_id": about["env_id"], **about["configuration"]} for about in abouts)
+        ours, theirs = (
+            {"env_id": about["env_id"], **about["recipe"], **about["configuration"]} for about in abouts
+        )
         if other := [name for name in ours if theirs.get(name) != ours[name]]:
             must, got = (", ".join(f"{n}={made.get(n)!r}" for n in other) for made in (ours, theirs))
             raise ValueError(

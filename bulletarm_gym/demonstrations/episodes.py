@@ -133,8 +133,9 @@ class Demonstrations(Sequence[Episode]):
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """Parameters of the environment, by name."""
-        return {**self.about["configuration"], **self._changed}
+        """Parameters of the environment, with its control and surface, by name."""
+        components = {name: self.about["recipe"][name] for name in ("control", "surface")}
+        return {**components, **self.about["configuration"], **self._changed}
 
     def make_env(self, **parameters: Any) -> gymnasium.Env[Any, Any]:
         """Make the environment of the episodes; the module of a user's task is imported.

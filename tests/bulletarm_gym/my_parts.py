@@ -1,6 +1,7 @@
 """Components of a user, some of them wrong."""
 
 import dataclasses
+import math
 from functools import partial
 
 import numpy as np
@@ -33,7 +34,17 @@ class Kindless(CloseLoop):
 
 
 class Picking(BlockPicking):
-    pass
+    """A goal in the memory, as a tuple."""
+
+    def arrange(self, scene, rng):
+        super().arrange(scene, rng)
+        self.memory = (0.5, 0.1)
+
+    def goals(self, scene):
+        return scene.robot.pose.position[:2], self.memory
+
+    def goal_error(self, achieved, desired):
+        return math.dist(achieved, desired)
 
 
 def brick(name, scale, width=0.03, pieces=None, **values):

@@ -21,6 +21,7 @@ from bulletarm_gym.geometry import Pose
 from bulletarm_gym.objects.catalogue import KINDS
 from bulletarm_gym.robots import ROBOTS
 from bulletarm_gym.surfaces import FlatSurface
+from bulletarm_gym.wrappers import GoalObservation
 
 HERE = Path(__file__).parent
 TASK, BOTH = "bulletarm_gym.tasks.picking:BlockPicking", "bulletarm_gym.tasks.stacking:BlockStacking"
@@ -55,6 +56,13 @@ def own_sensor(name, **parameters):
     """Return the parameters of an environment with a sensor of the user's module."""
     entry = {"name": "mine", "sensor": f"my_parts:{name}", **parameters}
     return {"observation": [entry, "holding"], "obs_size": 16}
+
+
+def test_goals_of_a_users_task_can_be_in_its_memory(mine):
+    env = GoalObservation(gymnasium.make(mine, observation="state"))
+    observation, info = env.reset(seed=0)
+    assert env.observation_space.contains(observation)
+    assert env.compute_reward((0.5, 0.1), observation["desired_goal"], info) == 1.0
 
 
 @pytest.mark.usefixtures("mine")

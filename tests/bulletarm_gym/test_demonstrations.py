@@ -24,7 +24,7 @@ QUANTUM = 0.5e-4 + 1e-7
 """Half of a count of stored heights (m), and the rounding to float32."""
 KINDS = {
     "image": (PICKING, "waypoint", SMALL),
-    "state": (PICKING, "waypoint", {"observation": "state"}),
+    "state": (PICKING, "waypoint", {"observation": "state", "surface": "ramp"}),
     "deconstruction": (STACKING, "deconstruction", {"num_objects": 2}),
 }
 

@@ -164,6 +164,8 @@ def test_recorder_rejects_a_file_of_other_parameters(path, tmp_path):
     before = path.read_bytes()
     with pytest.raises(ValueError, match=r"with max_steps=9, obs_size=48, got .* with max_steps=5, obs_size"):
         record(path, obs_size=48, max_steps=9)
+    with pytest.raises(ValueError, match=r"with surface='ramp', got .* with surface='flat'"):
+        record(path, surface="ramp")
     for env, file, message in (
         (gymnasium.make(PICKING, **PARAMETERS), path, f"env_id='{PICKING}'"),
         (gymnasium.make("CartPole-v1"), path, r"^env must be .*CartPole"),

@@ -62,6 +62,8 @@ def test_a_plan_names_tasks_and_baselines_by_patterns():
     plan = replace(read_plan("close_loop_4d"), tasks=["CloseLoopBlock*"], baselines=["sacfd"], seeds=1)
     known = {row.env_id for row in BENCHMARKS["close_loop_4d"].environments if "LoopBlock" in row.env_id}
     assert {job.experiment.env_id for job in build_jobs(plan, HERE)} == known
+    for job in build_jobs(Plan(["toy_tasks:CloseLoopToy", "toy_tasks:*Toy"], ["sacfd"], seeds=1), HERE):
+        assert job.experiment.env_id == "BulletArm/CloseLoopToy-v0" and job.gym_packages == ("toy_tasks",)
 
 
 def test_each_baseline_has_one_run_a_variant():

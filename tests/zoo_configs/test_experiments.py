@@ -30,6 +30,8 @@ GOLDEN_FILE = Path(__file__).with_name("golden_experiments.yml")
 WRITE = "WRITE_GOLDEN_EXPERIMENTS"
 """Environment variable with which this test writes the file, for its keys, instead of comparing with it."""
 CLOSED_LOOP, _ = families()
+OWN_SENSOR = '[{"name":"own","sensor":"bulletarm_gym.observations.sensor:JointState"}]'
+"""Sensor by its import path, as one of a user's, that returns no image."""
 PICKING, STACKING = "BulletArm/CloseLoopBlockPicking-v0", "BulletArm/OpenLoopBlockStacking-v0"
 
 
@@ -232,11 +234,13 @@ def test_stock_algorithms_have_a_policy_for_our_observations(algo):
     extractor = experiment.hyperparams["policy_kwargs"]["features_extractor_class"]
     assert experiment.hyperparams["policy"] == "MultiInputPolicy" and extractor.endswith(".CnnExtractor")
     for more, policy in (
-        ("STACKING --env-kwargs observation:state", "MultiInputPolicy"),
+        ("STACKING --env-kwargs observation:[holding]", "MultiInputPolicy"),
+        (f"STACKING --env-kwargs observation:{OWN_SENSOR}", "MultiInputPolicy"),
         ("Pendulum-v1", "MlpPolicy"),
         ("STACKING -params policy:CnnPolicy", "CnnPolicy"),
     ):
-        assert experiment_of(f"--algo {algo} --env {more}").hyperparams["policy"] == policy
+        found = experiment_of(f"--algo {algo} --env {more}").hyperparams
+        assert found["policy"] == policy and "policy_kwargs" not in found
 
 
 def test_files_of_rl_zoo3_are_valid():

@@ -9,7 +9,7 @@ from typing import Any
 
 from bulletarm_gym.benchmarks import BENCHMARKS
 from zoo_configs.arguments import MAX_SEED
-from zoo_configs.environments import known_env_id, our_env_ids, register_environments
+from zoo_configs.environments import known_env_id, our_env_ids, package_of, register_environments
 from zoo_configs.errors import CommandError, check_names, unknown_name
 from zoo_configs.experiments.config import merge, resolve
 from zoo_configs.experiments.families import family_of, task_name
@@ -31,7 +31,7 @@ class Plan:
     """
     Content of a YAML file of a benchmark, whose keys are these fields.
 
-    :param tasks: Ids, names without namespace and version, or shell patterns
+    :param tasks: Ids, names without namespace and version, or shell patterns, also after ``"package:"``
     :param baselines: Baselines or shell patterns
     :param preset: Preset; None selects ``paper`` for a GPU, else ``cpu``
     :param seeds: Number of seeds (0, 1, ...), or a list of seeds
@@ -105,7 +105,9 @@ def build_jobs(
     :param num_threads: Number of PyTorch threads of a run, unless the options of the plan define it
     :raises CommandError: for an unknown task, baseline, preset, option or seed
     """
-    register_environments(gym_packages)
+    named = [package for task in plan.tasks for package in package_of(task)]
+    packages = tuple(dict.fromkeys([*gym_packages, *named]))
+    register_environments(packages)
     tasks = dict.fromkeys(env_id for wanted in plan.tasks for env_id in _tasks(wanted, plan.benchmark))
     preset = plan.preset or default_preset(device)
     experiments = [
@@ -118,7 +120,6 @@ def build_jobs(
         for variant, values in (plan.variants or {"": {}}).items()
     ]
     options = {"num_threads": num_threads, **plan.options}
-    packages = tuple(gym_packages)
     return [
         Run(place / f"{SEED_PREFIX}{seed}", one, seed, device, TrainingOptions.of(one, options), packages)
         for wanted in dict.fromkeys(place.name for place, _ in experiments)
@@ -130,7 +131,7 @@ def build_jobs(
 
 def _tasks(wanted: str, benchmark: str | None) -> list[str]:
     """Return the ids of a name, or of a pattern within the benchmark."""
-    ids = our_env_ids()
+    ids, wanted = our_env_ids(), wanted.rpartition(":")[2]
     found = [name for name in ids if fnmatchcase(task_name(name), wanted) or fnmatchcase(name, wanted)]
     if not _is_pattern(wanted):
         return found or [known_env_id(wanted)]

@@ -59,7 +59,7 @@ def _runner(
         n_jobs = int(args.jobs or max(1, (os.cpu_count() or 1) / args.cpus))
         yield lambda waiting, look: run_here(waiting, n_jobs, look)
         return
-    with connected(args.ray, folder, args.gym_packages) as token:
+    with connected(args.ray, folder, jobs[0].gym_packages) as token:
         resources = {job.folder: _resources(args, sizes[job.folder.parent]) for job in jobs}
         check_resources(resources)
         yield lambda waiting, look: run_on_ray(waiting, resources, token, look)

@@ -25,7 +25,8 @@ FIGURE, TRAINING_FIGURE = "learning_curves.png", "training_curves.png"
 def main(args: argparse.Namespace) -> None:
     """Run the command."""
     output = args.output or args.log_folder / (TRAINING_FIGURE if args.training else FIGURE)
-    experiments = read_experiments(args.log_folder, args.env, args.baseline, args.seed, args.device)
+    env_ids = args.env and [env_id.rpartition(":")[2] for env_id in args.env]
+    experiments = read_experiments(args.log_folder, env_ids, args.baseline, args.seed, args.device)
     check_writable(output, "--output")
     written = _plot_training(experiments, output) if args.training else _plot_success(experiments, output)
     print_written(*written)

@@ -1,12 +1,14 @@
 """The flags that name an experiment."""
 
 import argparse
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+from sb3_extensions.common.observations import IMAGE_AXES, space_parts
 from zoo_configs.algorithms import ALGORITHMS, OTHERS, algorithm_classes
 from zoo_configs.arguments import add_env_kwargs, add_key_values
-from zoo_configs.environments import known_env_id, package_of
+from zoo_configs.environments import known_env_id, make_env, our_env_ids, package_of
 from zoo_configs.errors import CommandError, check_names
 from zoo_configs.experiments.config import ExperimentConfig, merge, resolve
 from zoo_configs.experiments.families import Layer, families
@@ -102,24 +104,15 @@ def _default_experiment(algo: str, env_id: str, overrides: dict[str, Any]) -> Ex
     check_names("algorithm", [algo], [*ALGORITHMS, *OTHERS])
     policy = POLICIES.get(algo, "MlpPolicy")
     hyperparams: dict[str, Any] = {"n_timesteps": DEFAULT_TIMESTEPS, "policy": policy}
-    if any(family.has_env(env_id) for family in families()) and "policy" not in overrides:
-        aliases = algorithm_classes()[algo].policy_aliases
-        policies = [name for name in DICT_POLICIES if name in aliases]
-        if policies:
-            hyperparams["policy"] = policies[0]
-        if policies and _has_images(overrides.get("env_kwargs", {}).get("observation", "image")):
+    aliases = algorithm_classes()[algo].policy_aliases
+    policies = [name for name in DICT_POLICIES if name in aliases]
+    if policies and env_id in our_env_ids() and "policy" not in overrides:
+        hyperparams["policy"] = policies[0]
+        with closing(make_env(env_id, overrides.get("env_kwargs", {}))) as env:
+            shapes = [space.shape or () for space in space_parts(env.observation_space).values()]
+        if IMAGE_AXES in map(len, shapes):
             hyperparams["policy_kwargs"] = {"features_extractor_class": EXTRACTOR}
     return ExperimentConfig(algo, env_id, hyperparams).overridden(overrides)
-
-
-def _has_images(observation: Any) -> bool:
-    """Return True if a list of sensors has one that is not known to return numbers or points."""
-    if not isinstance(observation, list):
-        return bool(observation != "state")  # the environment rejects other values
-    names = [
-        entry.get("sensor", entry.get("name")) if isinstance(entry, dict) else entry for entry in observation
-    ]
-    return any(name not in ("state", "holding", "point_cloud", "joint_state") for name in names)
 
 
 def _experiment_from_file(path: Path, algo: str, env_id: str) -> ExperimentConfig:

@@ -119,12 +119,13 @@ def check_expert_data(experiment: ExperimentConfig, env: gym.Env[Any, Any]) -> N
     """Raise ``CommandError`` if a file of demonstrations is damaged or has another task or parameters."""
     path = experiment.hyperparams.get("expert_data")
     episodes = load_expert_data(experiment.hyperparams).get("expert_data")
-    config: Any = getattr(env.unwrapped, "config", None)
-    if not isinstance(path, str) or episodes is None or config is None:
+    core: Any = env.unwrapped
+    if not isinstance(path, str) or episodes is None or not hasattr(core, "recipe"):
         return
-    wanted = {"env": experiment.env_id, **config.parameters()}
+    wanted = {"env": experiment.env_id, **core.recipe, **core.config.parameters()}
     with refused(f"expert_data: {path} cannot be read"):
-        found = {"env": episodes.about["env_id"], **episodes.about["configuration"]}
+        about = episodes.about
+        found = {"env": about["env_id"], **about["recipe"], **about["configuration"]}
     compared = [name for name in wanted if not name.startswith("render_")]
     if other := [name for name in compared if found.get(name) != wanted[name]]:
         theirs, ours = ({name: values.get(name) for name in other} for values in (found, wanted))

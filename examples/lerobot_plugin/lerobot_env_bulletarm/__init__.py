@@ -3,6 +3,7 @@
 Observations have the names, shapes and types of ``bulletarm_gym.demonstrations.export_lerobot``.
 """
 
+import importlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -14,7 +15,7 @@ from lerobot.configs.types import FeatureType, PolicyFeature
 from lerobot.envs.configs import EnvConfig
 from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_IMAGES, OBS_STATE
 
-from bulletarm_gym import ENV_IDS
+import bulletarm_gym  # noqa: F401 (registers the environments)
 from bulletarm_gym.demonstrations.exports import CAMERAS
 from bulletarm_gym.observations import Rgb, State
 from bulletarm_gym.observations.sensor import GRIPPER_SIZE
@@ -82,7 +83,7 @@ def make_env(
 class BulletArmEnv(EnvConfig):
     """Configuration of ``--env.type=bulletarm``.
 
-    :param task: id without its namespace
+    :param task: id without its namespace, for a task of your own after its module and a colon
     :param cameras: parameters of the sensor ``rgb``, by the names of cameras
     :param object_poses: observe the poses of the objects as ``observation.environment_state``
     :param env_kwargs: parameters of the environment
@@ -95,7 +96,10 @@ class BulletArmEnv(EnvConfig):
     env_kwargs: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Fill in the features of the environment."""
+        """Import the module of the task, and fill in the features of the environment."""
+        if module := str(self.task).rpartition(":")[0]:
+            importlib.import_module(module)
+            register_all()
         env = gymnasium.make(self.gym_id, **self.gym_kwargs)
         observations: Any = env.observation_space
         self.features = {ACTION: PolicyFeature(FeatureType.ACTION, env.action_space.shape)}
@@ -119,16 +123,28 @@ class BulletArmEnv(EnvConfig):
         return __name__
 
     @property
+    def gym_id(self) -> str:
+        """Id that LeRobot makes."""
+        return f"{__name__}/{str(self.task).rpartition(':')[2]}"
+
+    @property
     def gym_kwargs(self) -> dict[str, Any]:
         """Arguments of :func:`make_env`."""
         return {"cameras": self.cameras, "object_poses": self.object_poses, "env_kwargs": self.env_kwargs}
 
 
-for env_id in ENV_IDS:
-    gymnasium.register(
-        id=f"{__name__}/{env_id.partition('/')[2]}",
-        entry_point=f"{__name__}:make_env",
-        kwargs={"env_id": env_id},
-        order_enforce=False,  # LeRobot reads task_description from the outermost wrapper only
-        disable_env_checker=True,
-    )
+def register_all() -> None:
+    """Register the ids of bulletarm-gym, and those of users that are registered so far, for LeRobot."""
+    for env_id in [name for name in gymnasium.registry if name.startswith("BulletArm/")]:
+        own_id = f"{__name__}/{env_id.partition('/')[2]}"
+        if own_id not in gymnasium.registry:
+            gymnasium.register(
+                id=own_id,
+                entry_point=f"{__name__}:make_env",
+                kwargs={"env_id": env_id},
+                order_enforce=False,  # LeRobot reads task_description from the outermost wrapper only
+                disable_env_checker=True,
+            )
+
+
+register_all()
