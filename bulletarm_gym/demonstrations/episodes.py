@@ -202,7 +202,7 @@ class Recorder:
         else:
             self._file = h5py.File(self._buffer, "w", userblock_size=USER_BLOCK)
             about = {"format": FORMAT, "versions": versions(), **about}
-            self._file.create_group("episodes", track_order=True)
+            self._file.create_group("episodes")
             self._file["attempts"] = 0
             self._file["about"] = json.dumps(about)
             for name in ("configuration", "versions"):

@@ -357,7 +357,8 @@ def test_members_of_several_tasks_run_in_processes_and_begin_at_states():
 
 
 def test_a_member_passes_the_checks_and_is_made_again_from_its_spec():
-    (env, _) = make_multi_task_vec([CLOSE_LOOP[0], CLOSE_LOOP[2]], obs_size=36).envs
+    vector = make_multi_task_vec([CLOSE_LOOP[0], CLOSE_LOOP[2]], obs_size=36)  # its end closes the members
+    env = vector.envs[0]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         check_gymnasium(env, skip_render_check=True)
