@@ -214,20 +214,20 @@ def demonstrations_table(source: Source) -> str:
     return source.table("demonstrations", ["task", *map(str, counts)], lines, rows)
 
 
-def ablation_table(source: Source) -> str:
+def ablation_table(source: Source, name: str) -> str:
     """Return the success of the complete learner and of its variants, each without one addition."""
-    rows = [row for row in source.read("ablation") if row["state"] == "done"]
+    rows = [row for row in source.read(name) if row["state"] == "done"]
     runs: dict[tuple[str, str], list[dict[int, float]]] = {}
     for row in rows:
         pairs = (pair.split(":") for pair in row["evaluations"].split())
-        name = task_name(row["env"]), row["baseline"].rpartition(", ")[2]
-        runs.setdefault(name, []).append({int(step): float(rate) for step, rate in pairs})
+        run = task_name(row["env"]), row["baseline"].rpartition(", ")[2]
+        runs.setdefault(run, []).append({int(step): float(rate) for step, rate in pairs})
     lines = [
         [f"`{task}`", f"`{variant}`", *(_mean([curve[step] for curve in curves]) for step in ABLATION_STEPS)]
         for (task, variant), curves in sorted(runs.items(), key=lambda item: item[0][0])
     ]
     heads = ["task", "variant", *(f"{step:,} steps" for step in ABLATION_STEPS)]
-    return source.table("ablation", heads, lines, rows)
+    return source.table(name, heads, lines, rows)
 
 
 def _date(run: Row) -> str:
@@ -258,7 +258,8 @@ FIGURES: dict[str, Callable[[Source], str]] = {
     "results, close loop": partial(results_table, preset="cpu", tasks="CloseLoop*"),
     "results, open loop": partial(results_table, preset="cpu", tasks="OpenLoop*"),
     "demonstrations": demonstrations_table,
-    "ablation": ablation_table,
+    "ablation": partial(ablation_table, name="ablation"),
+    "ablation, remaining": partial(ablation_table, name="ablation_remaining"),
     "results, many demonstrations": partial(results_table, preset="quick", tasks="CloseLoop*"),
 }
 """Functions that return the text of a place, by name."""
