@@ -327,7 +327,8 @@ class ManipulationEnv(gymnasium.Env[Observation, Action]):
         Parameters that only change motions, observations, rewards or the length of episodes may differ. After
         a state after the end of an episode, :meth:`reset` must be called before :meth:`step`.
 
-        :raises ValueError: task, control, surface, robot, workspace or objects differ. Then nothing changes
+        :raises ValueError: task, control, surface, robot, workspace, objects or the shape of ``in_hand``
+            differ. Then nothing changes
         :raises gymnasium.error.ClosedEnvironmentError: the environment is closed
         """
         self.scene.world.check_open()

@@ -15,6 +15,7 @@ import bulletarm_gym
 from fill_tables import filled
 from zoo_configs import parsers
 from zoo_configs.cli import COMMANDS
+from zoo_configs.experiments.config import resolve
 from zoo_configs.experiments.flags import find_experiment
 from zoo_configs.training.validation import check_experiment
 
@@ -26,6 +27,7 @@ NAME = re.compile(r"`((?:bulletarm_gym|sb3_extensions|zoo_configs)(?:\.\w+)+)`")
 WITH_COMMANDS = [page for page in PAGES if COMMAND.search(page.read_text(encoding="utf-8"))]
 SIGNATURE = re.compile(r"^\| `([\w.]+)\(([^`]*)\)` \|", re.MULTILINE)
 NUMBER = re.compile(r"\| `([\w.]+)` \| `([^`]+)` \| (?:paper|release)")
+ADDITION = re.compile(r"^\| `(\w+)[^|]*\| ([^|]+) \|", re.MULTILINE)
 FILE = re.compile(r"# (\w+\.py)\n")
 # The paper's appendix "List of Configurable Environment Parameters".
 PAPER_PARAMETERS = (
@@ -92,6 +94,25 @@ def test_provenance_tells_the_numbers_of_the_code():
     assert len(found) > 60
     for name, value in found:
         assert _find(name) == pytest.approx(eval(value, {"pi": math.pi})), name
+
+
+@pytest.mark.parametrize(
+    "page, baseline, task",
+    [
+        ("sacfd", "equi_sacfd", "CloseLoopBlockPulling"),
+        ("spatial_dqn", "sdqfd_equi_asr", "OpenLoopHouseBuilding1"),
+    ],
+)
+def test_additions_have_the_values_of_the_preset(page, baseline, task):
+    hyperparams = resolve(baseline, "cpu", f"BulletArm/{task}-v0").hyperparams
+    text = (ROOT / "docs" / "learners" / f"{page}.md").read_text(encoding="utf-8")
+    table = text.partition("Additions to the paper\n")[2].partition("\n#")[0]
+    rows = [row for row in ADDITION.findall(table) if not row[0].endswith("kwargs")]
+    assert len(rows) > 3
+    for name, cell in rows:
+        value = hyperparams.get(name, "off")
+        shown = "".join(f'`"{key}"`' for key in value) if isinstance(value, dict) else value
+        assert cell == (shown if isinstance(shown, str) else f"{shown:,g}"), name
 
 
 def test_figures_are_those_of_the_data():

@@ -2,7 +2,7 @@
 
 from collections import defaultdict
 from functools import partial
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import torch as th
 from gymnasium import spaces
@@ -16,12 +16,15 @@ from stable_baselines3.sac.sac import SAC
 from torch import nn
 
 from sb3_extensions.common.components import check_entropy, check_integer, check_not_negative
+from sb3_extensions.common.entropy import replace_ent_coef
 from sb3_extensions.demonstrations.collection import ActionTransform, add_noise
 from sb3_extensions.demonstrations.off_policy import Logs, OffPolicyFromDemonstrations
 from sb3_extensions.demonstrations.validation import ExpertData
 from sb3_extensions.replay.rotation import AugmentationSpec, make_augmentation
 from sb3_extensions.replay.samples import ExpertReplayBufferSamples, compute_next_values
 from sb3_extensions.sacfd.policies import EquivariantPolicy, MultiInputPolicy, SACfDPolicy, StatePolicy
+
+SelfSACfD = TypeVar("SelfSACfD", bound="SACfD")
 
 
 def imitation_loss(actions: th.Tensor, expert_actions: th.Tensor) -> th.Tensor:
@@ -170,6 +173,20 @@ class SACfD(OffPolicyFromDemonstrations, SAC):
                 "critic_warmup_steps must be None or at least pretrain_steps with bc_weight=0, got "
                 f"{self.critic_warmup_steps}"
             )
+
+    @classmethod
+    def load(
+        cls: type[SelfSACfD], path: Any, *args: Any, ent_coef: str | float | None = None, **kwargs: Any
+    ) -> SelfSACfD:
+        """
+        Load the model from a zip-file, see Stable-Baselines3's ``load()``.
+
+        :param ent_coef: replaces the saved coefficient, which Stable-Baselines3's ``load()`` keeps
+        """
+        model = super().load(path, *args, **kwargs)
+        if ent_coef is not None:
+            replace_ent_coef(model, ent_coef)
+        return model
 
     def _setup_model(self) -> None:
         super()._setup_model()

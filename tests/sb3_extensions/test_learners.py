@@ -352,3 +352,14 @@ def test_invalid_arguments_are_refused(make, words, monkeypatch):
     with pytest.raises(ValueError) as refusal:
         make()
     assert all(word in str(refusal.value) for word in words.split()), refusal.value
+
+
+@pytest.mark.parametrize("saved", [0.5, "auto"])
+@pytest.mark.parametrize("ent_coef", [0.1, "auto_0.1"])
+def test_load_replaces_the_entropy_coefficient(saved, ent_coef, make_learner, make_toy, tmp_path):
+    make_learner(ent_coef=saved).save(tmp_path / "model")
+    loaded = SACfD.load(tmp_path / "model", env=make_toy(), device="cpu", ent_coef=ent_coef)
+    is_learned = loaded.ent_coef_optimizer is not None
+    value = loaded.log_ent_coef.exp() if is_learned else loaded.ent_coef_tensor
+    assert is_learned == (ent_coef == "auto_0.1") and value.item() == pytest.approx(0.1)
+    loaded.learn(1)

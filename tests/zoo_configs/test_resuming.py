@@ -143,10 +143,16 @@ def test_training_starts_from_a_model_that_had_other_demonstrations(train_tiny, 
 def test_training_starts_from_a_model_with_other_hyperparameters(train_tiny, run_folder, tmp_path, capsys):
     model = str(run_folder / "best_model.zip")
     assert main(["enjoy", model, "-n", "1", "--device", "cpu"]) == 0  # its folder has the environment
-    more = ["gamma:0.9", "n_steps:2", "replay_buffer_kwargs:{sampler: {shares: {expert_fraction: 0.25}}}"]
+    more = [
+        "gamma:0.9",
+        "n_steps:2",
+        "ent_coef:auto_0.5",
+        "replay_buffer_kwargs:{sampler: {shares: {expert_fraction: 0.25}}}",
+    ]
     assert train_tiny(tmp_path, *more, "n_envs:2", "-i", model) == 0
     trained = SACfD.load(tmp_path / "sacfd" / RUN_NAME / "best_model.zip", device="cpu")
     assert (trained.gamma, trained.n_steps, trained.n_pretrained) == (0.9, 2, 2)
+    assert trained.log_ent_coef.exp().item() == pytest.approx(0.5, rel=0.1)
     assert trained.replay_buffer_kwargs["sampler"]["shares"]["expert_fraction"] == 0.25
     for baseline, wanted in ("sacfd", "sacfd.policies.MultiInputPolicy"), ("equi_tqcfd", "tqcfd.policies."):
         assert train_tiny(tmp_path / "other", "-i", model, "--baseline", baseline) == 2

@@ -10,11 +10,13 @@ import numpy as np
 from rich.console import Console
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback, ProgressBarCallback
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.save_util import load_from_zip_file
 from stable_baselines3.common.vec_env import VecEnv
 from tqdm.rich import tqdm
 
 from sb3_extensions.common.checkpoint import DirectoryCheckpointCallback, resume, save_checkpoint
+from sb3_extensions.common.entropy import replace_ent_coef
 from zoo_configs.algorithms import algorithm_classes
 from zoo_configs.environments import SeedStream, load_expert_data, stream_seed
 from zoo_configs.errors import CommandError, reason, refused
@@ -150,7 +152,12 @@ class Trainer:
         if (default := getattr(self.algorithm, "default_replay_buffer_class", None)) is not None:
             kwargs.setdefault("replay_buffer_class", default)
             kwargs["_had_expert_data"] = False  # demonstrations are the run's, too
+        # Stable-Baselines3's load() keeps the entropy coefficient of the file.
+        is_off_policy = issubclass(self.algorithm, OffPolicyAlgorithm)
+        ent_coef = kwargs.pop("ent_coef", None) if is_off_policy else None
         loaded: BaseAlgorithm = self.algorithm.load(self.options.trained_agent, env=env, **kwargs)
+        if ent_coef is not None:
+            replace_ent_coef(loaded, ent_coef)
         return loaded
 
     def _constructor_kwargs(self, env: VecEnv) -> dict[str, Any]:
