@@ -265,6 +265,8 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
             )
 
     def _pretrain(self, callback: BaseCallback) -> None:
+        # A loaded model has the progress, and so the learning rate, of the end of its former training.
+        self._update_current_progress_remaining(self.num_timesteps, self._total_timesteps)
         total, done = self._pretraining_total, self.n_pretrained
         with make_progress_bar(total, "pretraining", self._progress_bar, done) as progress:
             while self.pretraining_left:

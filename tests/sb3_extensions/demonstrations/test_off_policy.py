@@ -29,13 +29,16 @@ from sb3_extensions.sacfd import SACfD
 def test_a_loaded_model_begins_again_with_demonstrations_of_its_environment(
     steps, make_toy, make_learner, tmp_path
 ):
-    """Also with fewer steps of pretraining than were done, and with action noise of more environments."""
+    """Also with fewer steps of pretraining than were done, with action noise of more environments, and with
+    a learning rate that has decreased to 0."""
     kwargs = {"action_noise": NormalActionNoise(np.zeros(5), np.ones(5)), "pretrain_steps": 4}
+    kwargs |= {"learning_rate": lambda remaining: 1e-3 * remaining, "learning_starts": 2}
     make_learner(make_toy(2), critic_warmup_steps=2, **kwargs).learn(2).save(tmp_path / "model")
     changes = {} if steps is None else {"pretrain_steps": steps, "expert_episodes": 3}
     loaded = SACfD.load(tmp_path / "model", env=make_toy(max_steps=9), device="cpu", **changes)
     updates = loaded._n_updates
     loaded.learn(1)
+    assert loaded.actor.optimizer.param_groups[0]["lr"] == 1e-3  # of the pretraining, the latest updates
     assert loaded.n_pretrained == (steps or 4) and loaded._n_updates >= updates + (steps or 4)
     assert loaded.replay_buffer is not None and loaded.replay_buffer.expert_size > 0
 
