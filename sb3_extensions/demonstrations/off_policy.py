@@ -233,7 +233,11 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
             self._collect_demonstrations(self.replay_buffer, env)
         if self.pretraining_left:
             self._pretrain(callback)
-        return super().collect_rollouts(env, callback, *args, **kwargs)
+        rollout = super().collect_rollouts(env, callback, *args, **kwargs)
+        if not rollout.continue_training:
+            # The step at which a callback stops is not stored, so the next learn() must reset.
+            self._last_obs = None
+        return rollout
 
     def _collect_demonstrations(self, replay_buffer: ExpertReplayBuffer, env: VecEnv) -> None:
         seed = None if self.seed is None else _derive_seed(self.seed, EXPERT_KEY)

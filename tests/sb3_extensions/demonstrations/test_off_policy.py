@@ -12,7 +12,7 @@ import pytest
 from gymnasium import spaces
 from gymnasium.wrappers import FlattenObservation, RescaleAction
 from stable_baselines3 import SAC
-from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.callbacks import BaseCallback, StopTrainingOnMaxEpisodes
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.noise import NormalActionNoise
 
@@ -59,6 +59,16 @@ def test_an_interrupted_pretraining_can_be_shortened(make_learner):
     model.pretrain_steps = 2
     model.learn(1)
     assert model.n_pretrained == 3 and model.replay_buffer.size() == model.replay_buffer.expert_size + 1
+
+
+def test_training_after_a_stop_at_the_end_of_an_episode_stores_steps_of_one_episode(make_toy, make_learner):
+    env = make_toy(2, max_steps=3, observation="state")
+    model = make_learner(env, policy="StatePolicy", expert_episodes=0, learning_starts=99)
+    model.learn(50, callback=StopTrainingOnMaxEpisodes(1))
+    model.learn(8, reset_num_timesteps=False)
+    sample = model.replay_buffer.sample(50)
+    moved = (sample.observations["state"] - 0.3 * sample.actions[:, 1:3]).clip(-1, 1)
+    np.testing.assert_allclose(sample.next_observations["state"], moved, atol=1e-6)
 
 
 def test_the_replay_buffer_follows_the_discount(make_toy, make_learner, tmp_path):
