@@ -16,6 +16,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from sb3_extensions.common.components import check_fraction, check_integer
 from sb3_extensions.common.env_metadata import action_sequence, has_absolute_yaw, with_action_metadata
+from sb3_extensions.common.observations import as_parts
 from sb3_extensions.demonstrations.collection import ActionTransform, make_progress_bar
 from sb3_extensions.demonstrations.episodes import EpisodeData
 from sb3_extensions.demonstrations.expert_envs import collect_from_copies
@@ -41,6 +42,7 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
 
     The first ``learn()`` collects the demonstrations and pretrains. ``on_rollout_start()`` of callbacks is
     called before every gradient step of the pretraining. A checkpoint of the pretraining continues in it.
+    The statistics of ``VecNormalize`` include the observations of the demonstrations.
 
     A subclass is an algorithm or precedes an algorithm of Stable-Baselines3 in the bases. Its constructor
     sets the annotated attributes and calls :meth:`_check_demonstrations` before ``_setup_model()``.
@@ -231,7 +233,11 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
             self._collect_demonstrations(self.replay_buffer, env)
         if self.pretraining_left:
             self._pretrain(callback)
-        return super().collect_rollouts(env, callback, *args, **kwargs)
+        rollout = super().collect_rollouts(env, callback, *args, **kwargs)
+        if not rollout.continue_training:
+            # The step at which a callback stops is not stored, so the next learn() must reset.
+            self._last_obs = None
+        return rollout
 
     def _collect_demonstrations(self, replay_buffer: ExpertReplayBuffer, env: VecEnv) -> None:
         seed = None if self.seed is None else _derive_seed(self.seed, EXPERT_KEY)
@@ -258,13 +264,24 @@ class OffPolicyFromDemonstrations(OffPolicyAlgorithm):
                 episode.terminations,
                 expert_actions=None if intended is None else self.as_policy_actions(intended),
             )
+            self._update_statistics(episode.observations)
         if self.expert_data is not None and not buffer.expert_size:
             raise ValueError(
                 "expert_data must have at least one episode, got none. Pass a list: an iterator is empty "
                 "after its first use"
             )
 
+    def _update_statistics(self, observations: Any) -> None:
+        # Without them, the pretraining would use the statistics of the first observation alone.
+        env = self.get_vec_normalize_env()
+        if env is not None and env.norm_obs and env.training:
+            statistics, parts = as_parts(env.obs_rms), as_parts(observations)
+            for key, running in statistics.items():
+                running.update(np.asarray(parts[key]))
+
     def _pretrain(self, callback: BaseCallback) -> None:
+        # A loaded model has the progress, and so the learning rate, of the end of its former training.
+        self._update_current_progress_remaining(self.num_timesteps, self._total_timesteps)
         total, done = self._pretraining_total, self.n_pretrained
         with make_progress_bar(total, "pretraining", self._progress_bar, done) as progress:
             while self.pretraining_left:

@@ -85,6 +85,10 @@ class FERM(SACfD):
             self.logger.record(f"train/{name}", value.item())
         self._update_target_encoder()
 
+    def _imitate(self) -> None:
+        super()._imitate()  # trains the encoder, too
+        self._update_target_encoder()
+
     def _update_encoder(self, observations: PyTorchObs) -> dict[str, th.Tensor]:
         """Do one gradient step on the contrastive loss of two views of each observation."""
         assert self.augmentation is not None and self.augmentation.window is not None

@@ -40,7 +40,10 @@ PICKING = "BulletArm/CloseLoopBlockPicking-v0"
 def test_environments_by_id_and_normalised_environments(make_toy, make_learner):
     make_learner("ToyReach-v0").learn(3)
     for kwargs in ({"norm_obs": False}, {"norm_obs_keys": ["holding"]}):
-        make_learner(VecNormalize(make_toy(), **kwargs)).learn(3)
+        env = VecNormalize(make_toy(), **kwargs)
+        buffer = make_learner(env).learn(3).replay_buffer
+    # Statistics of five demonstrations, the reset and three steps
+    assert env.obs_rms["holding"].count == pytest.approx(buffer.expert_size + 5 + 1 + 3, abs=0.01)
     with pytest.raises(ValueError, match="heightmap"):
         make_learner(VecNormalize(make_toy())).learn(1)
 

@@ -254,13 +254,15 @@ def test_contrastive_loss_is_info_nce_of_two_views_by_critic_and_target(make_mod
     assert model._update_encoder(observations)["contrastive_loss"].item() == pytest.approx(expected, rel=1e-4)
 
 
-def test_target_extractor_follows_faster_than_the_heads(make_model):
+@pytest.mark.parametrize(("update", "heads_tau"), [("train", 0.1), ("_imitate", 0.0)])
+def test_target_extractor_follows_faster_than_the_heads(update, heads_tau, make_model):
+    """In imitation alone, the contrastive loss trains the extractor, and nothing trains the heads."""
     model = make_model(encoder_tau=0.3, tau=0.1).learn(2)
     before = {name: value.clone() for name, value in model.critic_target.named_parameters()}
-    model.train(1, 16)
+    getattr(model, update)(*[1, 16] if update == "train" else [])
     critic = dict(model.critic.named_parameters())
     for name, value in model.critic_target.named_parameters():
-        tau = 0.3 if name.startswith("features_extractor.") else 0.1
+        tau = 0.3 if name.startswith("features_extractor.") else heads_tau
         th.testing.assert_close(value, (1 - tau) * before[name] + tau * critic[name])
         assert not th.equal(critic[name], before[name]), name
 

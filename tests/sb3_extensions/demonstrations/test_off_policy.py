@@ -12,7 +12,7 @@ import pytest
 from gymnasium import spaces
 from gymnasium.wrappers import FlattenObservation, RescaleAction
 from stable_baselines3 import SAC
-from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.callbacks import BaseCallback, StopTrainingOnMaxEpisodes
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.noise import NormalActionNoise
 
@@ -29,13 +29,16 @@ from sb3_extensions.sacfd import SACfD
 def test_a_loaded_model_begins_again_with_demonstrations_of_its_environment(
     steps, make_toy, make_learner, tmp_path
 ):
-    """Also with fewer steps of pretraining than were done, and with action noise of more environments."""
+    """Also with fewer steps of pretraining than were done, with action noise of more environments, and with
+    a learning rate that has decreased to 0."""
     kwargs = {"action_noise": NormalActionNoise(np.zeros(5), np.ones(5)), "pretrain_steps": 4}
+    kwargs |= {"learning_rate": lambda remaining: 1e-3 * remaining, "learning_starts": 2}
     make_learner(make_toy(2), critic_warmup_steps=2, **kwargs).learn(2).save(tmp_path / "model")
     changes = {} if steps is None else {"pretrain_steps": steps, "expert_episodes": 3}
     loaded = SACfD.load(tmp_path / "model", env=make_toy(max_steps=9), device="cpu", **changes)
     updates = loaded._n_updates
     loaded.learn(1)
+    assert loaded.actor.optimizer.param_groups[0]["lr"] == 1e-3  # of the pretraining, the latest updates
     assert loaded.n_pretrained == (steps or 4) and loaded._n_updates >= updates + (steps or 4)
     assert loaded.replay_buffer is not None and loaded.replay_buffer.expert_size > 0
 
@@ -56,6 +59,16 @@ def test_an_interrupted_pretraining_can_be_shortened(make_learner):
     model.pretrain_steps = 2
     model.learn(1)
     assert model.n_pretrained == 3 and model.replay_buffer.size() == model.replay_buffer.expert_size + 1
+
+
+def test_training_after_a_stop_at_the_end_of_an_episode_stores_steps_of_one_episode(make_toy, make_learner):
+    env = make_toy(2, max_steps=3, observation="state")
+    model = make_learner(env, policy="StatePolicy", expert_episodes=0, learning_starts=99)
+    model.learn(50, callback=StopTrainingOnMaxEpisodes(1))
+    model.learn(8, reset_num_timesteps=False)
+    sample = model.replay_buffer.sample(50)
+    moved = (sample.observations["state"] - 0.3 * sample.actions[:, 1:3]).clip(-1, 1)
+    np.testing.assert_allclose(sample.next_observations["state"], moved, atol=1e-6)
 
 
 def test_the_replay_buffer_follows_the_discount(make_toy, make_learner, tmp_path):
