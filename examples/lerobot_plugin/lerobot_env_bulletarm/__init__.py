@@ -134,7 +134,7 @@ class BulletArmEnv(EnvConfig):
 
 
 def register_all() -> None:
-    """Register the ids of bulletarm-gym, and those of users that are registered so far, for LeRobot."""
+    """Register all present ids of the namespace BulletArm, also of users, for LeRobot."""
     for env_id in [name for name in gymnasium.registry if name.startswith("BulletArm/")]:
         own_id = f"{__name__}/{env_id.partition('/')[2]}"
         if own_id not in gymnasium.registry:
